@@ -1,0 +1,1 @@
+"""Composition: scenarios, and the functions that make Diagrams."""

@@ -1,0 +1,1 @@
+"""Geometry of the cell: models found through package.xml."""

@@ -1,0 +1,1 @@
+"""Command line: arguments and a run loop, nothing else."""

@@ -1,0 +1,24 @@
+import copy
+import unittest
+
+import numpy as np
+
+import tofssm_drake.messages as mut
+
+
+class TestMessages(unittest.TestCase):
+    def test_copy_is_the_message_itself(self):
+        dut = mut.RingScan(distance=np.ones(8))
+        self.assertIs(copy.deepcopy(dut), dut)
+
+    def test_arrays_are_read_only(self):
+        dut = mut.RingScan(distance=np.ones(8))
+        with self.assertRaises(ValueError):
+            dut.distance[0] = 0.0
+
+    def test_nothing_is_trusted_before_the_first_sample(self):
+        separation = mut.make_empty_separation()
+        self.assertTrue((separation.health == mut.RingHealth.FAULTED).all())
+        index = mut.make_empty_safety_index()
+        self.assertTrue((index.health == mut.RingHealth.FAULTED).all())
+        self.assertTrue((index.dsi >= index.dsi_C).all())

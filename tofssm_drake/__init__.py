@@ -1,0 +1,3 @@
+"""LeafSystems and their Diagrams for on-robot Time-of-Flight safety."""
+
+__version__ = "0.1.0"

@@ -1,0 +1,1 @@
+"""Ground truth, records, metrics and the report of a run."""

@@ -1,0 +1,1 @@
+"""Ray casting and distances between shapes, on a Drake SceneGraph."""

@@ -1,0 +1,1 @@
+"""The person: skeleton, generated walk, recordings, avatar."""

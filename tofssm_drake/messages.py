@@ -1,0 +1,194 @@
+"""Frozen values that travel on the abstract ports.
+
+A message is never changed after it was made: its arrays are read-only and a
+copy of it is the message itself, so that Drake's caches, logs and cloned
+Contexts cost nothing and can not disagree.
+
+`n` stands for the number of sensors of a ring, `m` for the number of links
+that are watched (three for rings: RINGS).
+"""
+
+import dataclasses as dc
+import enum
+
+import numpy as np
+
+RINGS = ("base", "elbow", "tool")
+
+
+class RobotState(enum.IntEnum):
+    """TriSSM state psi (paper, II-A)."""
+
+    STOP = 0
+    REDUCED = 1
+    NORMAL = 2
+
+
+class Reading(enum.IntEnum):
+    """What one sensor's sample means to the monitor; never a number alone."""
+
+    CLEAR = 0
+    """No return: nothing within range."""
+    VALID = 1
+    """A distance to something that is not the robot or its cell."""
+    MASKED = 2
+    """The robot or its restricted workspace was seen: sensor dropped."""
+    FAULTED = 3
+    """Broken, stale or implausible: not clear."""
+
+
+class RingHealth(enum.IntEnum):
+    """Whether a ring's distance can be trusted."""
+
+    HEALTHY = 0
+    BLIND = 1
+    """Every working sensor is masked: nothing is known, reduce."""
+    FAULTED = 2
+    """Too many sensors faulted, or never any scan: stop."""
+
+
+class _Frozen:
+    """Makes array fields read-only and a copy the message itself."""
+
+    def __post_init__(self):
+        for field in dc.fields(self):
+            value = getattr(self, field.name)
+            if isinstance(value, np.ndarray):
+                value.flags.writeable = False
+
+    def __deepcopy__(self, memo):
+        return self
+
+
+@dc.dataclass(frozen=True, eq=False, kw_only=True)
+class RingScan(_Frozen):
+    """What a ring of sensors delivers, simulated or real."""
+
+    sequence: int = -1
+    """Counts scans from 0; -1 means that there was none yet."""
+    time: float = -np.inf
+    """When the scan was delivered, s."""
+    sensor_time: np.ndarray = dc.field(default_factory=lambda: np.empty(0))
+    """Centre of each sensor's integration, s, shape (n,)."""
+    distance: np.ndarray = dc.field(default_factory=lambda: np.empty(0))
+    """Measured distance, m, shape (n,); arbitrary unless status is 0 or 3."""
+    status: np.ndarray = dc.field(
+        default_factory=lambda: np.empty(0, dtype=np.uint8)
+    )
+    """Range status (ST API numbers; 253 bus failure, 254 no new data)."""
+
+
+@dc.dataclass(frozen=True, eq=False, kw_only=True)
+class MaskedScan(_Frozen):
+    """A scan with what each reading means and where the robot was then."""
+
+    scan: RingScan = dc.field(default_factory=RingScan)
+    reading: np.ndarray = dc.field(
+        default_factory=lambda: np.empty(0, dtype=np.uint8)
+    )
+    """`Reading` of each sensor, shape (n,)."""
+    self_nearest: np.ndarray = dc.field(default_factory=lambda: np.empty(0))
+    """Nearest hit of each sensor's rays on the twin, m, (n,); inf: none."""
+    self_farthest: np.ndarray = dc.field(default_factory=lambda: np.empty(0))
+    """Farthest such hit, m, (n,); -inf: none."""
+    previous_distance: np.ndarray = dc.field(
+        default_factory=lambda: np.empty(0)
+    )
+    """The same sensor's sample before this one, m, (n,); NaN: not VALID."""
+    previous_time: np.ndarray = dc.field(default_factory=lambda: np.empty(0))
+    """When that was, s, (n,)."""
+    position: np.ndarray = dc.field(default_factory=lambda: np.empty((0, 6)))
+    """Measured joints at each sensor's time, rad, (n, 6)."""
+    velocity: np.ndarray = dc.field(default_factory=lambda: np.empty((0, 6)))
+    """Measured joint speeds at each sensor's time, rad/s, (n, 6)."""
+
+
+@dc.dataclass(frozen=True, eq=False, kw_only=True)
+class Separation(_Frozen):
+    """How near the person is to each watched link, and how fast it shrinks.
+
+    One and the same message for every sensing (rings, ideal, lidar), so that
+    the safety law does not know which one it works on.
+    """
+
+    name: tuple[str, ...] = RINGS
+    """The m watched links."""
+    sequence: np.ndarray
+    """Number of each link's sample, (m,); changes with each new one."""
+    time: np.ndarray
+    """When the deciding sensor measured, s, (m,); -inf: never."""
+    distance: np.ndarray
+    """||D|| from the link's centre, m, (m,); inf: clear."""
+    sensor: np.ndarray
+    """Index of the deciding sensor, (m,); -1: none."""
+    direction: np.ndarray
+    """Unit vector from link centre to obstacle in world, (m, 3); NaN: clear."""
+    link_speed: np.ndarray
+    """||V_l|| of the link's centre, m/s, (m,)."""
+    k_l: np.ndarray
+    """Directed speed of the link, m/s, (m,); positive is closing."""
+    k_o: np.ndarray
+    """Directed relative speed, m/s, (m,); positive is closing."""
+    health: np.ndarray
+    """`RingHealth` of each link's sensing, (m,)."""
+    count: np.ndarray
+    """Sensors per `Reading` (clear, valid, masked, faulted), (m, 4)."""
+
+
+@dc.dataclass(frozen=True, eq=False, kw_only=True)
+class SafetyIndex(_Frozen):
+    """Distance Safety Index of each link with its thresholds (Algorithm 1)."""
+
+    name: tuple[str, ...] = RINGS
+    sequence: np.ndarray
+    time: np.ndarray
+    """When the deciding sensor measured, s, (m,); -inf: never."""
+    d_C: np.ndarray
+    """Critical distance, m, (m,)."""
+    d_R: np.ndarray
+    """Reduced distance, m, (m,)."""
+    dsi_raw: np.ndarray
+    """(C_dC / ||D||)^2 before the filter, (m,)."""
+    dsi: np.ndarray
+    """The same after the filter, (m,)."""
+    dsi_C: np.ndarray
+    """Threshold of the critical distance, (m,)."""
+    dsi_R: np.ndarray
+    """Threshold of the reduced distance, (m,)."""
+    health: np.ndarray
+    """`RingHealth`, (m,)."""
+
+
+def make_empty_separation(name: tuple[str, ...] = RINGS) -> Separation:
+    """Returns the separation before any sample: nothing is known."""
+    m = len(name)
+    return Separation(
+        name=name,
+        sequence=np.full(m, -1),
+        time=np.full(m, -np.inf),
+        distance=np.full(m, np.inf),
+        sensor=np.full(m, -1),
+        direction=np.full((m, 3), np.nan),
+        link_speed=np.zeros(m),
+        k_l=np.zeros(m),
+        k_o=np.zeros(m),
+        health=np.full(m, RingHealth.FAULTED),
+        count=np.zeros((m, 4), dtype=int),
+    )
+
+
+def make_empty_safety_index(name: tuple[str, ...] = RINGS) -> SafetyIndex:
+    """Returns the index before any sample: nothing is known."""
+    m = len(name)
+    return SafetyIndex(
+        name=name,
+        sequence=np.full(m, -1),
+        time=np.full(m, -np.inf),
+        d_C=np.full(m, np.inf),
+        d_R=np.full(m, np.inf),
+        dsi_raw=np.full(m, np.inf),
+        dsi=np.full(m, np.inf),
+        dsi_C=np.zeros(m),
+        dsi_R=np.zeros(m),
+        health=np.full(m, RingHealth.FAULTED),
+    )

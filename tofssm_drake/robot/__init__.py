@@ -1,0 +1,1 @@
+"""The UR10: kinematics, pick-and-place program, simulated controller."""

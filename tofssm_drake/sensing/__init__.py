@@ -1,0 +1,1 @@
+"""From light to a separation: ring, measurement model, mask, distance."""

@@ -1,0 +1,1 @@
+"""From a separation to a speed fraction: the safety law."""
