@@ -36,9 +36,9 @@ _PORTS = [
 ]
 
 
-def _make_separation():
+def _make_separation(sequence=(4, 5, -1)):
     return Separation(
-        sequence=np.array([4, 5, -1]),
+        sequence=np.array(sequence),
         time=np.array([0.1, 0.2, -np.inf]),
         distance=np.array([0.7, np.inf, np.inf]),
         sensor=np.array([3, -1, -1]),
@@ -184,11 +184,11 @@ class TestSampleRecorder(unittest.TestCase):
 
     def test_scans(self):
         """A scan is recorded once, when it is new; none before the first."""
+        self._fix("separation", Value(make_empty_separation()))
         self.dut.ForcedPublish(self.context)
         for tick, sequence in enumerate([0, 0, 1]):
-            if not tick or sequence:
-                scan = Value(_make_scan(sequence))
-                self._fix("masked_scan_elbow", scan)
+            self._fix("masked_scan_elbow", Value(_make_scan(sequence)))
+            self._fix("separation", Value(_make_separation([-1, sequence, -1])))
             self.context.SetTime(1.0 + tick)
             self.dut.ForcedPublish(self.context)
         scan = self.dut.make_samples(self.context).scan

@@ -61,7 +61,7 @@ class _Log:
             _Table(num_sensors, np.float32) for _ in range(num_rings)
         ]
         self.reading = [_Table(num_sensors, np.int8) for _ in range(num_rings)]
-        self.last_scan = [None] * num_rings
+        self.sequence = [-1] * num_rings
         self.last_separation = None
         self.last_dsi = None
         self.held = None
@@ -242,6 +242,8 @@ class SampleRecorder(LeafSystem):
         dsi = self._dsi_port.Eval(context)
         if separation is not log.last_separation or dsi is not log.last_dsi:
             log.held = pack_safety(separation, dsi)
+            if separation is not log.last_separation:
+                self._record_scans(context, log, separation.sequence.tolist())
             log.last_separation = separation
             log.last_dsi = dsi
         row = log.table.append()
@@ -256,21 +258,22 @@ class SampleRecorder(LeafSystem):
         row[self._truth : self._held] = self._truth_port.Eval(context)
         row[self._held :] = log.held
         log.reason.append(self._reason_port.Eval(context))
-        for i, port in enumerate(self._scan_ports):
-            scan = port.Eval(context)
-            if scan is not log.last_scan[i]:
-                log.last_scan[i] = scan
-                if scan.scan.sequence >= 0:
-                    self._append_scan(log, i, scan, row[0])
 
-    @staticmethod
-    def _append_scan(log, i, scan, time):
-        log.scan_time[i].append(time)
-        distance = log.distance[i].append()
-        distance[:] = scan.scan.distance
-        distance[scan.reading == Reading.CLEAR] = np.inf
-        distance[scan.reading == Reading.FAULTED] = np.nan
-        log.reading[i].append()[:] = scan.reading
+    def _record_scans(self, context, log, sequence):
+        """Appends the scans that the new separation was made from."""
+        for i, port in enumerate(self._scan_ports):
+            if sequence[i] == log.sequence[i]:
+                continue
+            log.sequence[i] = sequence[i]
+            scan = port.Eval(context)
+            if scan.scan.sequence < 0:
+                continue
+            log.scan_time[i].append(context.get_time())
+            distance = log.distance[i].append()
+            distance[:] = scan.scan.distance
+            distance[scan.reading == Reading.CLEAR] = np.inf
+            distance[scan.reading == Reading.FAULTED] = np.nan
+            log.reading[i].append()[:] = scan.reading
 
     def make_samples(self, root_context) -> Samples:
         """Returns what was recorded so far.
