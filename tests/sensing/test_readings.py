@@ -113,9 +113,7 @@ class TestClassify(unittest.TestCase):
             self_farthest=nearest + width,
             tolerance=tolerance,
         )
-        within = (
-            nearest - tolerance <= distance <= nearest + width + tolerance
-        )
+        within = nearest - tolerance <= distance <= nearest + width + tolerance
         self.assertEqual(reading, MASKED if within else VALID)
         self.assertEqual(reckoned, distance)
 
@@ -150,9 +148,7 @@ class TestRingHealth(unittest.TestCase):
 
     def test_count(self):
         reading = np.array([0, 3, 1, 2, 2, 3, 3, 0], dtype=np.uint8)
-        np.testing.assert_array_equal(
-            mut.count_readings(reading), [2, 1, 2, 3]
-        )
+        np.testing.assert_array_equal(mut.count_readings(reading), [2, 1, 2, 3])
 
 
 if __name__ == "__main__":

@@ -203,9 +203,7 @@ class TofRing(LeafSystem):
         abstract = state.get_mutable_abstract_state()
         queue = abstract.get_value(self._queue).get_value()
         last = (
-            queue[-1]
-            if queue
-            else abstract.get_value(self._scan).get_value()
+            queue[-1] if queue else abstract.get_value(self._scan).get_value()
         )
         scan = self._measure(context, last.sequence + 1)
         # Faults to inject (a silent ring, a frozen or stuck value, two
