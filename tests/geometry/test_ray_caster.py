@@ -1,0 +1,509 @@
+import unittest
+
+import numpy as np
+from pydrake.geometry import (
+    Box,
+    Capsule,
+    Cylinder,
+    HalfSpace,
+    MeshcatCone,
+    Role,
+    Sphere,
+)
+from pydrake.math import RigidTransform, RollPitchYaw
+import ray_oracle as oracle
+
+from tofssm_drake.errors import UserError
+from tofssm_drake.geometry.fan import make_cone_fan
+import tofssm_drake.geometry.ray_caster as mut
+
+
+def calc_slope(scene, caster, p_WR, n_WR, distance, index):
+    """Returns how steeply rays meet the surface: 1 square, 0 tangent."""
+    shapes, X_WG = scene.shapes_in_order(caster.geometry_ids)
+    slope = np.ones(len(p_WR))
+    for i, (shape, X) in enumerate(zip(shapes, X_WG, strict=True)):
+        rows = np.flatnonzero((index == i) & (distance > 0))
+        if len(rows) == 0:
+            continue
+        p = X.inverse() @ (p_WR[rows] + distance[rows, None] * n_WR[rows]).T
+        d = X.rotation().inverse() @ n_WR[rows].T
+        normal = calc_normal(shape, p.T)
+        slope[rows] = np.abs((normal * d.T).sum(-1))
+    return slope
+
+
+def calc_normal(shape, p):
+    """Returns outward normals at points on a shape, in G."""
+    if isinstance(shape, Sphere):
+        n = p
+    elif isinstance(shape, Capsule):
+        half = shape.length() / 2
+        n = p - np.clip(p[:, 2:], -half, half) * [0, 0, 1]
+    elif isinstance(shape, Cylinder):
+        side = np.linalg.norm(p[:, :2], axis=1) - shape.radius()
+        end = np.abs(p[:, 2]) - shape.length() / 2
+        n = np.where(
+            (side > end)[:, None], p * [1, 1, 0], np.sign(p) * [0, 0, 1]
+        )
+    elif isinstance(shape, Box):
+        excess = np.abs(p) - np.asarray(shape.size()) / 2
+        n = np.eye(3)[np.argmax(excess, axis=1)] * np.sign(p)
+    elif isinstance(shape, HalfSpace):
+        n = np.tile([0.0, 0.0, 1.0], (len(p), 1))
+    else:
+        n = p / np.array([shape.a(), shape.b(), shape.c()]) ** 2
+    return n / np.linalg.norm(n, axis=1, keepdims=True)
+
+
+def assert_same_hits(scene, caster, p_WR, n_WR, distance, index, expected):
+    """Distances agree to 1e-12, but where the ray only grazes.
+
+    There the distance is as uncertain as rounding over the slope, and hit or
+    miss may differ.
+    """
+    want, want_index = expected
+    want = want.astype(float)
+    slope = np.minimum(
+        calc_slope(scene, caster, p_WR, n_WR, distance, index),
+        calc_slope(scene, caster, p_WR, n_WR, want, want_index),
+    )
+    clear = slope > 1e-3
+    np.testing.assert_allclose(distance[clear], want[clear], rtol=0, atol=1e-12)
+    np.testing.assert_array_equal(index[clear], want_index[clear])
+    grazing = ~clear & (slope > 1e-6)
+    error = np.abs(distance[grazing] - want[grazing])
+    np.testing.assert_array_less(error, 1e-14 / slope[grazing] + 1e-12)
+    assert clear.mean() > 0.95
+
+
+class TestExactness(unittest.TestCase):
+    def check(self, kinds, seed, rays=20_000):
+        rng = np.random.default_rng(seed)
+        scene = oracle.make_random_scene(rng, kinds)
+        dut = mut.RayCaster(scene.inspector)
+        p_WR = rng.uniform(-1.5, 1.5, (rays, 3))
+        n_WR = oracle.make_unit_vectors(rng, rays)
+        distance, index = dut.cast(scene.query_object(), p_WR, n_WR, 4.0)
+        self.assertTrue((distance == 0).any())
+        self.assertTrue((distance == np.inf).any())
+        self.assertTrue(np.isfinite(distance[distance > 0]).any())
+        expected = oracle.cast(
+            *scene.shapes_in_order(dut.geometry_ids), p_WR, n_WR, 4.0
+        )
+        assert_same_hits(scene, dut, p_WR, n_WR, distance, index, expected)
+
+    def test_each_kind_against_the_closed_form(self):
+        for seed, kind in enumerate(oracle.KINDS):
+            with self.subTest(kind=kind):
+                self.check([kind] * (1 if kind == "half_space" else 4), seed)
+
+    def test_all_kinds_against_the_closed_form(self):
+        for seed in range(5):
+            with self.subTest(seed=seed):
+                self.check(oracle.KINDS * 2, seed)
+
+    def test_hits_lie_on_the_surface_that_drake_knows(self):
+        rng = np.random.default_rng(7)
+        kinds = tuple(k for k in oracle.KINDS if k != "ellipsoid")
+        scene = oracle.make_random_scene(rng, kinds * 2, Role.kProximity)
+        dut = mut.RayCaster(scene.inspector, role=Role.kProximity)
+        query_object = scene.query_object()
+        p_WR = rng.uniform(-1.5, 1.5, (2000, 3))
+        n_WR = oracle.make_unit_vectors(rng, 2000)
+        distance, index = dut.cast(query_object, p_WR, n_WR)
+        seen = 0
+        for i in np.flatnonzero(np.isfinite(distance)):
+            p_WQ = p_WR[i] + distance[i] * n_WR[i]
+            by_id = {
+                r.id_G: r.distance
+                for r in query_object.ComputeSignedDistanceToPoint(p_WQ)
+            }
+            if distance[i] == 0.0:
+                self.assertLessEqual(min(by_id.values()), 1e-12)
+                continue
+            seen += 1
+            self.assertLess(
+                abs(by_id[dut.geometry_ids[index[i]]]), 1e-9, msg=f"ray {i}"
+            )
+            self.assertGreater(min(by_id.values()), -1e-9)
+        self.assertGreater(seen, 200)
+
+
+class TestBundles(unittest.TestCase):
+    def setUp(self):
+        self.rng = np.random.default_rng(3)
+        self.scene = oracle.make_random_scene(self.rng, oracle.KINDS * 3)
+        self.dut = mut.RayCaster(self.scene.inspector)
+        self.fan = make_cone_fan(np.deg2rad(25), 25)
+
+    def make(self, count, fan=None, **kwargs):
+        X_FS = [oracle.make_random_pose(self.rng, 1.5) for _ in range(count)]
+        frame_id = [self.scene.frame_ids[i % 2] for i in range(count)]
+        bundles = self.dut.make_bundles(
+            frame_id=frame_id,
+            X_FS=X_FS,
+            fan_S=self.fan if fan is None else fan,
+            **kwargs,
+        )
+        X_WS = [
+            self.scene.poses[f] @ X for f, X in zip(frame_id, X_FS, strict=True)
+        ]
+        return bundles, X_WS
+
+    def rays(self, X_WS, fan=None):
+        fan = self.fan if fan is None else fan
+        p_WR = np.repeat([X.translation() for X in X_WS], len(fan), axis=0)
+        n_WR = np.concatenate([fan @ X.rotation().matrix().T for X in X_WS])
+        return p_WR, n_WR
+
+    def check(self, fan, max_range):
+        bundles, X_WS = self.make(300, fan, max_range=max_range)
+        X_WF = self.dut.poses_from_query_object(self.scene.query_object())
+        distance, index = self.dut.cast_bundles(bundles, X_WF)
+        self.assertEqual(distance.shape, (300, len(fan)))
+        p_WR, n_WR = self.rays(X_WS, fan)
+        expected = oracle.cast(
+            *self.scene.shapes_in_order(self.dut.geometry_ids),
+            p_WR,
+            n_WR,
+            max_range,
+        )
+        assert_same_hits(
+            self.scene,
+            self.dut,
+            p_WR,
+            n_WR,
+            distance.ravel(),
+            index.ravel(),
+            expected,
+        )
+
+    def test_narrow_and_wide_fans_see_the_same_as_the_closed_form(self):
+        for degrees in (1, 25, 120, 179):
+            fan = make_cone_fan(np.deg2rad(degrees), 25)
+            for max_range in (0.5, 1.5, 4.0):
+                with self.subTest(degrees=degrees, max_range=max_range):
+                    self.check(fan, max_range)
+
+    def test_fan_all_around(self):
+        angle = np.arange(0, 2 * np.pi, 0.05)
+        fan = np.column_stack([np.cos(angle), np.sin(angle), 0 * angle])
+        self.check(fan, 1.5)
+
+    def test_single_ray(self):
+        self.check(np.array([[0.0, 0.0, 1.0]]), 2.0)
+
+    def test_own_housing_is_not_seen_when_excluded(self):
+        scene = oracle.Scene()
+        link = scene.add_frame(RigidTransform([0, 0, 1]))
+        housing = scene.add(Capsule(0.1, 0.5), frame_id=link)
+        wall = scene.add(Box(0.2, 10, 10), RigidTransform([1.1, 0, 0]))
+        dut = mut.RayCaster(scene.inspector)
+        bundles = dut.make_bundles(
+            frame_id=link,
+            X_FS=[RigidTransform([0.05, 0, 0])] * 2,
+            fan_S=[[1.0, 0, 0]],
+            max_range=1.5,
+            excluded=[[], [housing]],
+        )
+        X_WF = dut.poses_from_query_object(scene.query_object())
+        distance, index = dut.cast_bundles(bundles, X_WF)
+        np.testing.assert_allclose(distance, [[0.0], [0.95]], atol=1e-15)
+        self.assertEqual(
+            [dut.geometry_ids[i] for i in index[:, 0]], [housing, wall]
+        )
+
+    def test_frame_without_geometry(self):
+        scene = oracle.Scene()
+        bare = scene.add_frame(RigidTransform([0, 0, 2]))
+        scene.add(HalfSpace())
+        dut = mut.RayCaster(scene.inspector)
+        bundles = dut.make_bundles(
+            frame_id=bare,
+            X_FS=[RigidTransform(RollPitchYaw(0, np.pi / 2, 0), [0, 0, 0])],
+            fan_S=[[1.0, 0, 0]],
+            max_range=3.0,
+        )
+        self.assertIn(bare, dut.frame_ids)
+        X_WF = dut.poses_from_query_object(scene.query_object())
+        distance, _ = dut.cast_bundles(bundles, X_WF)
+        np.testing.assert_allclose(distance, [[2.0]], atol=1e-15)
+
+    def test_each_bundle_has_its_own_range(self):
+        scene = oracle.Scene()
+        scene.add(HalfSpace())
+        dut = mut.RayCaster(scene.inspector)
+        down = RigidTransform(RollPitchYaw(0, np.pi / 2, 0), [0, 0, 2])
+        bundles = dut.make_bundles(
+            frame_id=scene.inspector.world_frame_id(),
+            X_FS=[down] * 3,
+            fan_S=[[1.0, 0, 0]],
+            max_range=[1.9, 2.0, 2.1],
+        )
+        X_WF = dut.poses_from_query_object(scene.query_object())
+        distance, index = dut.cast_bundles(bundles, X_WF)
+        np.testing.assert_array_equal(distance[:, 0], [np.inf, 2.0, 2.0])
+        np.testing.assert_array_equal(index[:, 0], [-1, 0, 0])
+
+    def test_wrong_arguments(self):
+        pose = [RigidTransform()]
+        good = dict(
+            frame_id=self.scene.frame_ids[0],
+            X_FS=pose,
+            fan_S=self.fan,
+            max_range=1.0,
+        )
+        for bad, message in (
+            (dict(fan_S=[[0.0, 0, 0]]), "fan_S: not unit"),
+            (dict(fan_S=[[2.0, 0, 0]]), "fan_S: not unit"),
+            (dict(fan_S=[[np.nan, 0, 0]]), "fan_S: not unit"),
+            (dict(fan_S=[[1.0, 0]]), "fan_S: shape"),
+            (dict(fan_S=np.empty((0, 3))), "fan_S: has no ray"),
+            (dict(max_range=np.nan), "max_range"),
+            (dict(max_range=-1.0), "max_range"),
+            (dict(X_FS=[np.full((3, 4), np.nan)]), "X_FS"),
+            (dict(X_FS=[np.eye(4)]), "X_FS"),
+            (dict(frame_id=self.scene.frame_ids), "frame_id: 2 frames for 1"),
+            (dict(excluded=[[], []]), "excluded: 2 collections for 1"),
+        ):
+            with (
+                self.subTest(bad=bad),
+                self.assertRaisesRegex(ValueError, message),
+            ):
+                self.dut.make_bundles(**(good | bad))
+
+    def test_poses_must_fit(self):
+        bundles, _ = self.make(2, max_range=1.0)
+        X_WF = self.dut.poses_from_query_object(self.scene.query_object())
+        with self.assertRaisesRegex(ValueError, "X_WF: shape"):
+            self.dut.cast_bundles(bundles, X_WF[:-1])
+        X_WF[1, 2, 3] = np.nan
+        with self.assertRaisesRegex(ValueError, "not finite"):
+            self.dut.cast_bundles(bundles, X_WF)
+        with self.assertRaisesRegex(ValueError, "not finite"):
+            self.dut.cast(X_WF, [[0.0, 0, 0]], [[1.0, 0, 0]])
+
+
+class TestRayCaster(unittest.TestCase):
+    def test_roles_and_subsets(self):
+        scene = oracle.Scene()
+        seen = scene.add(Sphere(0.1), RigidTransform([1, 0, 0]))
+        other = scene.add(Sphere(0.1), RigidTransform([2, 0, 0]))
+        touched = scene.add(
+            Sphere(0.1), RigidTransform([0.5, 0, 0]), role=Role.kProximity
+        )
+        ray = ([[0.0, 0, 0]], [[1.0, 0, 0]])
+        query_object = scene.query_object()
+        for kwargs, expected in (
+            (dict(), 0.9),
+            (dict(geometry_ids=[other]), 1.9),
+            (dict(role=Role.kProximity), 0.4),
+            (dict(geometry_ids=[]), np.inf),
+        ):
+            dut = mut.RayCaster(scene.inspector, **kwargs)
+            distance, _ = dut.cast(query_object, *ray)
+            self.assertAlmostEqual(distance[0], expected, delta=1e-15)
+        dut = mut.RayCaster(scene.inspector)
+        self.assertEqual(set(dut.geometry_ids), {seen, other})
+        self.assertAlmostEqual(
+            dut.cast(query_object, *ray, excluded=[seen])[0][0], 1.9
+        )
+        with self.assertRaisesRegex(ValueError, "shape_2.*perception"):
+            mut.RayCaster(scene.inspector, geometry_ids=[touched])
+
+    def test_unsupported_shape_is_named(self):
+        scene = oracle.Scene()
+        scene.add(MeshcatCone(1.0), name="horn")
+        with self.assertRaisesRegex(UserError, "horn.*MeshcatCone"):
+            mut.RayCaster(scene.inspector)
+
+    def test_geometry_that_came_or_went_is_noticed(self):
+        for role in (Role.kPerception, Role.kProximity):
+            with self.subTest(role=role):
+                scene = oracle.Scene(role)
+                scene.add(Sphere(0.1))
+                dut = mut.RayCaster(scene.inspector, role=role)
+                dut.poses_from_query_object(scene.query_object())
+                gone = scene.add(Sphere(0.2), name="late")
+                scene.context = None
+                for _ in range(2):
+                    with self.assertRaisesRegex(RuntimeError, "'late'.*added"):
+                        dut.poses_from_query_object(scene.query_object())
+                dut = mut.RayCaster(scene.inspector, role=role)
+                scene.scene_graph.RemoveGeometry(
+                    scene.context, scene.source_id, gone
+                )
+                with self.assertRaisesRegex(RuntimeError, "removed"):
+                    dut.poses_from_query_object(scene.query_object())
+
+    def test_geometry_that_changed_is_noticed(self):
+        scene = oracle.Scene(Role.kProximity)
+        changed = scene.add(Sphere(0.1))
+        dut = mut.RayCaster(scene.inspector, role=Role.kProximity)
+        dut.poses_from_query_object(scene.query_object())
+        scene.scene_graph.ChangeShape(
+            scene.context, scene.source_id, changed, Sphere(0.2)
+        )
+        with self.assertRaisesRegex(RuntimeError, "shape_0' was changed"):
+            dut.poses_from_query_object(scene.query_object())
+
+    def test_change_beside_a_subset_is_none(self):
+        scene = oracle.Scene()
+        wanted = scene.add(Sphere(0.1))
+        dut = mut.RayCaster(scene.inspector, geometry_ids=[wanted])
+        scene.add(Sphere(0.2))
+        dut.poses_from_query_object(scene.query_object())
+
+    def test_geometry_of_another_role_does_not_matter(self):
+        scene = oracle.Scene()
+        scene.add(Sphere(0.1))
+        dut = mut.RayCaster(scene.inspector)
+        scene.add(Sphere(0.2), role=Role.kProximity)
+        dut.poses_from_query_object(scene.query_object())
+
+    def test_wrong_rays(self):
+        scene = oracle.Scene()
+        scene.add(Sphere(0.1))
+        dut = mut.RayCaster(scene.inspector)
+        query_object = scene.query_object()
+        p, n = [[0.0, 0, 0]], [[1.0, 0, 0]]
+        for args, message in (
+            ((p, [[0.0, 0, 0]]), "unit vector"),
+            ((p, [[np.nan, 0, 0]]), "unit vector"),
+            ((p, [[1.0, 1.0, 0]]), "unit vector"),
+            (([[np.nan, 0, 0]], n), "not finite"),
+            (([[np.inf, 0, 0]], n), "not finite"),
+            ((p, n * 2), "not both"),
+            ((p[0], n[0]), "not both"),
+            ((p, n, np.nan), "max_range"),
+            ((p, n, -1.0), "max_range"),
+        ):
+            with (
+                self.subTest(args=args),
+                self.assertRaisesRegex(ValueError, message),
+            ):
+                dut.cast(query_object, *args)
+
+    def test_scene_without_shapes(self):
+        scene = oracle.Scene()
+        dut = mut.RayCaster(scene.inspector)
+        distance, index = dut.cast(
+            scene.query_object(), [[0.0, 0, 0]], [[1.0, 0, 0]]
+        )
+        self.assertEqual((distance[0], index[0]), (np.inf, -1))
+
+
+class TestDegenerateRays(unittest.TestCase):
+    """Rays along axes, on faces and along tangents, on unturned shapes."""
+
+    def cast(self, shape, p, n):
+        scene = oracle.Scene()
+        scene.add(shape)
+        dut = mut.RayCaster(scene.inspector)
+        distance, _ = dut.cast(scene.query_object(), [p], [n])
+        return distance[0]
+
+    def check(self, shape, cases):
+        for p, n, expected in cases:
+            with self.subTest(p=p, n=n):
+                n = np.array(n, dtype=float)
+                self.assertAlmostEqual(
+                    self.cast(shape, p, n / np.linalg.norm(n)),
+                    expected,
+                    delta=1e-14,
+                )
+
+    def test_box(self):
+        self.check(
+            Box(2, 2, 2),
+            [
+                ([-3, 0, 0], [1, 0, 0], 2.0),
+                ([-3, 0, 0], [-1, 0, 0], np.inf),
+                ([-3, 1, 0], [1, 0, 0], 2.0),  # Along a face.
+                ([-3, 1, 1], [1, 0, 0], 2.0),  # Along an edge.
+                ([-3, 1 + 1e-9, 0], [1, 0, 0], np.inf),
+                ([-3, 0, 2], [1, 0, -0.0], np.inf),
+                ([1, 0, 0], [1, 0, 0], 0.0),  # Starts on a face.
+                ([1, 0, 0], [0, 1, 0], 0.0),
+                ([-2, -2, -2], [1, 1, 1], np.sqrt(3)),  # Through a corner.
+                ([-1, -3, 1], [0, 1, 0], 2.0),
+            ],
+        )
+
+    def test_sphere(self):
+        self.check(
+            Sphere(1),
+            [
+                ([-3, 0, 0], [1, 0, 0], 2.0),
+                ([-3, 1, 0], [1, 0, 0], 3.0),  # Tangent.
+                ([-3, 1 + 1e-9, 0], [1, 0, 0], np.inf),
+                ([-1, 0, 0], [1, 0, 0], 0.0),
+                ([-1, 0, 0], [0, 1, 0], 0.0),  # Touches where it starts.
+                ([-1, 0, 0], [-1, 0, 0], 0.0),
+                ([0, 0, 0], [0, 0, 1], 0.0),
+            ],
+        )
+
+    def test_capsule(self):
+        self.check(
+            Capsule(1, 2),
+            [
+                ([0, 0, 5], [0, 0, -1], 3.0),  # Along the axis.
+                ([0.6, 0, 5], [0, 0, -1], 3.2),
+                ([0.6, 0, -5], [0, 0, 1], 3.2),
+                ([1, 0, 5], [0, 0, -1], 4.0),  # Along the tube.
+                ([1 + 1e-9, 0, 5], [0, 0, -1], np.inf),
+                ([0, 0, 5], [0, 0, 1], np.inf),
+                ([0, 0, 3], [1e-12, 0, -1], 1.0),
+                ([-3, 0, 0], [1, 0, 0], 2.0),
+                ([-3, 0, 1], [1, 0, 0], 2.0),  # At the seam.
+                ([-3, 1, 0], [1, 0, 0], 3.0),  # Tangent.
+                ([-3, 0, 2], [1, 0, 0], 3.0),  # Tangent at the tip.
+                ([0, 0, 2], [0, 0, 1], 0.0),
+                ([0, 0.8, 1.7], [0, 0, 1], np.inf),
+            ],
+        )
+
+    def test_sphere_as_capsule_without_length(self):
+        scene = oracle.Scene()
+        rng = np.random.default_rng(0)
+        scene.add(Sphere(0.5))
+        scene.add(Capsule(0.5, 1e-300), role=Role.kProximity)
+        p = rng.uniform(-2, 2, (500, 3))
+        n = oracle.make_unit_vectors(rng, 500)
+        query_object = scene.query_object()
+        sphere = mut.RayCaster(scene.inspector).cast(query_object, p, n)
+        capsule = mut.RayCaster(scene.inspector, role=Role.kProximity).cast(
+            query_object, p, n
+        )
+        np.testing.assert_allclose(sphere[0], capsule[0], atol=1e-12)
+
+    def test_cylinder(self):
+        self.check(
+            Cylinder(1, 2),
+            [
+                ([0, 0, 5], [0, 0, -1], 4.0),
+                ([1, 0, 5], [0, 0, -1], 4.0),  # Along the tube.
+                ([1 + 1e-9, 0, 5], [0, 0, -1], np.inf),
+                ([-3, 0, 0], [1, 0, 0], 2.0),
+                ([-3, 0, 1], [1, 0, 0], 2.0),  # In the end's plane.
+                ([-3, 0, 1 + 1e-9], [1, 0, 0], np.inf),
+                ([-3, 1, 0], [1, 0, 0], 3.0),  # Tangent.
+                ([0, 0, 1], [0, 0, 1], 0.0),
+                ([0, 0, 5], [1e-13, 0, -1], 4.0),
+                ([-2, 0, 2], [1, 0, -1], np.sqrt(2)),  # Through the rim.
+            ],
+        )
+
+    def test_half_space(self):
+        self.check(
+            HalfSpace(),
+            [
+                ([0, 0, 2], [0, 0, -1], 2.0),
+                ([0, 0, 2], [0, 0, 1], np.inf),
+                ([0, 0, 2], [1, 0, 0], np.inf),  # Parallel.
+                ([0, 0, 0], [1, 0, 0], 0.0),
+                ([0, 0, -1], [0, 0, 1], 0.0),
+            ],
+        )

@@ -1,0 +1,166 @@
+"""Closest points between capsules, in closed form.
+
+A capsule is a segment p-q with a radius; a sphere is a capsule whose segment
+has no length. Everything is in one frame, in metres.
+"""
+
+from numba import njit
+import numpy as np
+
+
+@njit(cache=True, error_model="numpy")
+def _project_on_segment(x, y, z, p, q):
+    """Returns the parameter in [0, 1] of the segment's point nearest x."""
+    ux, uy, uz = q[0] - p[0], q[1] - p[1], q[2] - p[2]
+    length2 = ux * ux + uy * uy + uz * uz
+    if length2 == 0.0:
+        return 0.0
+    along = (x - p[0]) * ux + (y - p[1]) * uy + (z - p[2]) * uz
+    return min(max(along / length2, 0.0), 1.0)
+
+
+@njit(cache=True, error_model="numpy")
+def _gap2(a, b, s, t, c, d):
+    """Returns the squared distance of the points at s on ab and t on cd."""
+    total = 0.0
+    for i in range(3):
+        step = (c[i] + t * (d[i] - c[i])) - (a[i] + s * (b[i] - a[i]))
+        total += step * step
+    return total
+
+
+@njit(cache=True, error_model="numpy")
+def _closest_on_segments(a, b, c, d):
+    """Returns (s, t, squared distance) of the closest points of ab and cd.
+
+    Either the closest points are inside both segments, where the connection
+    is square to both, or one of them is an end point. All candidates are
+    tried, so parallel and degenerate segments need no threshold.
+    """
+    best_s = 0.0
+    best_t = _project_on_segment(a[0], a[1], a[2], c, d)
+    best = _gap2(a, b, 0.0, best_t, c, d)
+    t = _project_on_segment(b[0], b[1], b[2], c, d)
+    gap = _gap2(a, b, 1.0, t, c, d)
+    if gap < best:
+        best_s, best_t, best = 1.0, t, gap
+    s = _project_on_segment(c[0], c[1], c[2], a, b)
+    gap = _gap2(a, b, s, 0.0, c, d)
+    if gap < best:
+        best_s, best_t, best = s, 0.0, gap
+    s = _project_on_segment(d[0], d[1], d[2], a, b)
+    gap = _gap2(a, b, s, 1.0, c, d)
+    if gap < best:
+        best_s, best_t, best = s, 1.0, gap
+
+    ux, uy, uz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
+    vx, vy, vz = d[0] - c[0], d[1] - c[1], d[2] - c[2]
+    # The cross product keeps its digits for nearly parallel segments, where
+    # the difference of the squared products loses all of them.
+    nx, ny, nz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
+    n2 = nx * nx + ny * ny + nz * nz
+    if n2 > 0.0:
+        wx, wy, wz = c[0] - a[0], c[1] - a[1], c[2] - a[2]
+        s = (
+            (wy * vz - wz * vy) * nx
+            + (wz * vx - wx * vz) * ny
+            + (wx * vy - wy * vx) * nz
+        ) / n2
+        if 0.0 < s < 1.0:
+            t = _project_on_segment(
+                a[0] + s * ux, a[1] + s * uy, a[2] + s * uz, c, d
+            )
+            gap = _gap2(a, b, s, t, c, d)
+            if gap < best:
+                best_s, best_t, best = s, t, gap
+    return best_s, best_t, best
+
+
+@njit(cache=True, error_model="numpy")
+def closest_capsules(a_p, a_q, a_r, b_p, b_q, b_r):
+    """Returns where two sets of capsules come closest (compiled).
+
+    Args:
+        a_p: First ends of the n capsules A, shape (n, 3).
+        a_q: Second ends, shape (n, 3).
+        a_r: Radii, shape (n,).
+        b_p: First ends of the m capsules B, shape (m, 3).
+        b_q: Second ends, shape (m, 3).
+        b_r: Radii, shape (m,).
+
+    Returns:
+        (distance, i, j, p_A, p_B): the smallest signed distance over all
+        pairs (negative: overlap), the pair, and its witness points on both
+        surfaces, each of shape (3,). If a set is empty: inf, -1, -1, NaN.
+        If a number is NaN, so is the distance. Where two axes cross there is
+        no direction from one to the other: the witness points are then taken
+        square to both axes.
+    """
+    distance = np.inf
+    best_i, best_j = -1, -1
+    best_s, best_t = 0.0, 0.0
+    for i in range(a_r.shape[0]):
+        for j in range(b_r.shape[0]):
+            s, t, gap2 = _closest_on_segments(a_p[i], a_q[i], b_p[j], b_q[j])
+            signed = np.sqrt(gap2) - a_r[i] - b_r[j]
+            if np.isnan(signed):
+                # An unknown pair must not read as a far one.
+                return np.nan, i, j, np.full(3, np.nan), np.full(3, np.nan)
+            if signed < distance:
+                distance = signed
+                best_i, best_j, best_s, best_t = i, j, s, t
+    p_A = np.full(3, np.nan)
+    p_B = np.full(3, np.nan)
+    if best_i < 0:
+        return distance, best_i, best_j, p_A, p_B
+    axis_a = a_q[best_i] - a_p[best_i]
+    axis_b = b_q[best_j] - b_p[best_j]
+    c_A = a_p[best_i] + best_s * axis_a
+    c_B = b_p[best_j] + best_t * axis_b
+    normal = c_B - c_A
+    length = np.sqrt(np.sum(normal * normal))
+    if length == 0.0:
+        normal = np.cross(axis_a, axis_b)
+        length = np.sqrt(np.sum(normal * normal))
+    if length == 0.0:
+        axis = axis_a if np.sum(axis_a * axis_a) > 0.0 else axis_b
+        least = np.argmin(np.abs(axis))
+        unit = np.zeros(3)
+        unit[least] = 1.0
+        normal = np.cross(axis, unit)
+        length = np.sqrt(np.sum(normal * normal))
+        if length == 0.0:
+            normal, length = unit, 1.0
+    normal = normal / length
+    p_A = c_A + a_r[best_i] * normal
+    p_B = c_B - b_r[best_j] * normal
+    return distance, best_i, best_j, p_A, p_B
+
+
+@njit(cache=True, error_model="numpy")
+def point_to_capsules(points, b_p, b_q, b_r):
+    """Returns each point's signed distance to the nearest capsule (compiled).
+
+    Args:
+        points: Points, shape (m, 3).
+        b_p: First ends of the capsules, shape (n, 3).
+        b_q: Second ends, shape (n, 3).
+        b_r: Radii, shape (n,).
+
+    Returns:
+        Distance to the nearest surface, negative inside, shape (m,); inf if
+        there is no capsule; NaN if a number is.
+    """
+    result = np.full(points.shape[0], np.inf)
+    for i in range(points.shape[0]):
+        p = points[i]
+        for j in range(b_r.shape[0]):
+            t = _project_on_segment(p[0], p[1], p[2], b_p[j], b_q[j])
+            gap2 = _gap2(p, p, 0.0, t, b_p[j], b_q[j])
+            signed = np.sqrt(gap2) - b_r[j]
+            if np.isnan(signed):
+                result[i] = np.nan
+                break
+            if signed < result[i]:
+                result[i] = signed
+    return result
