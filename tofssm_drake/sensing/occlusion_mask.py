@@ -1,0 +1,413 @@
+"""The occlusion mask: which sensors see the robot itself or its cell."""
+
+from collections.abc import Collection, Sequence
+import dataclasses as dc
+import math
+from typing import Protocol
+
+from numba import njit
+import numpy as np
+from pydrake.common.value import Value
+from pydrake.geometry import FrameId, GeometryId
+from pydrake.math import RigidTransform
+from pydrake.systems.framework import Context, LeafSystem, State
+
+from tofssm_drake.errors import require
+from tofssm_drake.geometry.ray_caster import RayBundles, RayCaster
+from tofssm_drake.messages import MaskedScan, Reading, RingScan
+from tofssm_drake.sensing.readings import (
+    calc_self_interval,
+    classify_readings,
+)
+from tofssm_drake.sensing.tof_ring import TofRingConfig, make_ring_bundles
+from tofssm_drake.sensing.vl53l1x import STATUS_NO_NEW_DATA, check_range
+
+
+@dc.dataclass(kw_only=True)
+class OcclusionMaskConfig:
+    """Which readings count as the robot's own."""
+
+    # False: nothing is masked, the robot stops at the sight of itself.
+    enabled: bool = True
+
+    # Standard deviation of a reading on the robot or its cell, m: readings
+    # within 3 sigma of the expected ones are masked. 3 sigma covers the
+    # datasheet's +-25 mm with 5 mm to spare for a sensor whose constant error
+    # is at its bound.
+    sigma: float = 0.010
+
+    # Rays that stand for a sensor's cone; 0: as many as the ring's.
+    rays_per_sensor: int = 0
+
+    # Below this distance a sensor detects but can not measure, m: such a
+    # target is as near as possible.
+    min_range: float = 0.040
+
+    # A reading beyond this distance is implausible, m: no mode of the sensor
+    # reaches farther.
+    max_range: float = 4.0
+
+    # A sample older than this is stale and the sensor faulted, s (*assumed*:
+    # three periods of a ring).
+    max_age: float = 0.072
+
+    # Control tick, s: joints are remembered and scans looked at once a tick.
+    period: float = 0.008
+
+    @property
+    def tolerance(self) -> float:
+        """By how much the expected interval is widened to each side, m."""
+        return 3.0 * self.sigma
+
+    def check(self, where: str) -> None:
+        """Raises UserError unless every setting is within its limits."""
+        check_range(where, "sigma", self.sigma, 0.0, 0.1)
+        check_range(where, "rays_per_sensor", self.rays_per_sensor, 0, 10000)
+        check_range(where, "min_range", self.min_range, 0.0, 0.2)
+        check_range(where, "max_range", self.max_range, 0.1, 65.0)
+        check_range(where, "max_age", self.max_age, 0.001, 10.0)
+        check_range(where, "period", self.period, 1e-4, 0.1)
+        require(
+            self.max_age >= self.period,
+            f"{where}.max_age: {self.max_age} is shorter than the control "
+            f"tick of {self.period}",
+        )
+
+
+def make_mask_bundles(
+    *,
+    config: OcclusionMaskConfig,
+    ring_config: TofRingConfig,
+    caster: RayCaster,
+    frame_id: FrameId,
+    X_FS: Sequence[RigidTransform],
+    excluded: Collection[GeometryId] = (),
+) -> RayBundles:
+    """Makes the rays of one ring's mask, cast on the twin.
+
+    Args:
+        config: number of rays, tolerance.
+        ring_config: field of view and range of the sensors, number of rays.
+        caster: of the twin's SceneGraph.
+        frame_id: the twin's frame F of the link that carries the ring.
+        X_FS: the sensors' poses in F.
+        excluded: the twin's geometries that no sensor of the ring sees: the
+            link that carries it.
+    """
+    if config.rays_per_sensor:
+        ring_config = dc.replace(
+            ring_config, rays_per_sensor=config.rays_per_sensor
+        )
+    return make_ring_bundles(
+        config=ring_config,
+        caster=caster,
+        frame_id=frame_id,
+        X_FS=X_FS,
+        excluded=excluded,
+        margin=config.tolerance,
+    )
+
+
+class Twin(Protocol):
+    """The monitor's own idea of the robot, what it holds, and its cell."""
+
+    def calc_frame_poses(
+        self,
+        position: np.ndarray,
+        gripper_closed: float,
+        products_placed: float,
+    ) -> np.ndarray:
+        """Returns X_WF of the mask's ray caster's frames, (frames, 3, 4)."""
+
+
+# Columns of the history's table.
+_TIME, _POSITION, _VELOCITY = 0, slice(1, 7), slice(7, 13)
+_GRIPPER_CLOSED, _PRODUCTS_PLACED = 13, 14
+_COLUMNS = 15
+
+
+@dc.dataclass(frozen=True, eq=False)
+class RobotHistory:
+    """What the robot reported in the last few control ticks."""
+
+    table: np.ndarray
+    """Oldest first: time, s, position, rad, (6), velocity, rad/s, (6),
+    gripper closed, products placed; (h, 15). Time is -inf in unused rows."""
+
+    def __deepcopy__(self, memo):
+        return self
+
+
+def make_robot_history(length: int) -> RobotHistory:
+    """Returns an empty history of so many ticks."""
+    table = np.zeros((length, _COLUMNS))
+    table[:, _TIME] = -np.inf
+    return RobotHistory(table)
+
+
+@njit(cache=True)
+def push_report(
+    table, time, position, velocity, gripper_closed, products_placed
+):
+    """Returns a history's table with a report added and the oldest dropped."""
+    result = np.empty_like(table)
+    result[:-1] = table[1:]
+    last = result[-1]
+    last[0] = time
+    last[1:7] = position
+    last[7:13] = velocity
+    last[13] = gripper_closed
+    last[14] = products_placed
+    return result
+
+
+@njit(cache=True)
+def interpolate_reports(table, time):
+    """Returns what the robot reported for a time, as a row of the table.
+
+    Joints and their speeds are interpolated linearly; gripper and products
+    are those of the last report before. Outside of the history's span it is
+    the oldest or the newest report.
+    """
+    last = table.shape[0] - 1
+    i = last
+    while i > 0 and table[i, 0] > time and table[i - 1, 0] > -np.inf:
+        i -= 1
+    result = table[i].copy()
+    if i < last and table[i, 0] <= time:
+        s = (time - table[i, 0]) / (table[i + 1, 0] - table[i, 0])
+        for j in range(13):
+            result[j] += s * (table[i + 1, j] - table[i, j])
+    return result
+
+
+def hold_readings(scan: RingScan, before: RingScan) -> RingScan:
+    """Puts the sample before in place of "no new data".
+
+    A ring may fire its sensors in turns, or a sensor may take longer; its
+    last sample then stands, with its own time, until it is too old.
+
+    Args:
+        scan: the new scan.
+        before: what was made of the scan before it.
+    """
+    held = scan.status == STATUS_NO_NEW_DATA
+    if not held.any() or before.status.shape != scan.status.shape:
+        return scan
+    return dc.replace(
+        scan,
+        sensor_time=np.where(held, before.sensor_time, scan.sensor_time),
+        distance=np.where(held, before.distance, scan.distance),
+        status=np.where(held, before.status, scan.status),
+    )
+
+
+def mask_scan(
+    config: OcclusionMaskConfig,
+    *,
+    scan: RingScan,
+    before: MaskedScan,
+    time: float,
+    history: RobotHistory,
+    caster: RayCaster,
+    bundles: RayBundles,
+    twin: Twin,
+) -> MaskedScan:
+    """Tells what each reading of a new scan means.
+
+    Casts each sensor's rays on the twin, posed as the robot was at the
+    sample's own time, and compares (paper, Self Occlusion Detection; table
+    in `tofssm_drake.sensing.readings`).
+
+    Args:
+        config: settings.
+        scan: the new scan of n sensors.
+        before: the result for the scan before it.
+        time: now, s.
+        history: the robot's reports.
+        caster: of the twin.
+        bundles: the rays of the ring's n sensors, by that caster.
+        twin: gives the poses that the caster needs.
+
+    Returns:
+        The masked scan. Its `scan` is as the monitor reckons with it: 0 m for
+        a target nearer than can be measured, and the sample before where
+        there is no new data.
+    """
+    n = len(scan.status)
+    if n != bundles.num_bundles:
+        raise ValueError(
+            f"scan of {n} sensors, but the mask has {bundles.num_bundles}"
+        )
+    new_scan = scan
+    scan = hold_readings(scan, before.scan)
+
+    # Mostly one time for all sensors.
+    reports = np.zeros((n, _COLUMNS))
+    self_nearest = np.full(n, np.inf)
+    self_farthest = np.full(n, -np.inf)
+    todo = np.isfinite(scan.sensor_time)
+    while todo.any():
+        sensor_time = scan.sensor_time[np.argmax(todo)]
+        now = scan.sensor_time == sensor_time
+        todo &= ~now
+        report = interpolate_reports(history.table, sensor_time)
+        reports[now] = report
+        if config.enabled:
+            self_distance, _ = caster.cast_bundles(
+                bundles,
+                twin.calc_frame_poses(
+                    report[_POSITION],
+                    report[_GRIPPER_CLOSED],
+                    report[_PRODUCTS_PLACED],
+                ),
+            )
+            nearest, farthest = calc_self_interval(self_distance)
+            self_nearest[now] = nearest[now]
+            self_farthest[now] = farthest[now]
+
+    reading, reckoned = classify_readings(
+        scan.distance,
+        scan.status,
+        time - scan.sensor_time,
+        self_nearest,
+        self_farthest,
+        config.tolerance,
+        config.min_range,
+        config.max_range,
+        config.max_age,
+    )
+    if (reckoned != scan.distance).any():
+        scan = dc.replace(scan, distance=reckoned)
+
+    if before.reading.shape == (n,):
+        previous_distance = np.where(
+            before.reading == Reading.VALID, before.scan.distance, np.nan
+        )
+        previous_time = before.scan.sensor_time
+        if scan.sensor_time is not new_scan.sensor_time:
+            # A sample that is held has still the same one before it.
+            held = scan.sensor_time == previous_time
+            previous_distance = np.where(
+                held, before.previous_distance, previous_distance
+            )
+            previous_time = np.where(held, before.previous_time, previous_time)
+    else:
+        previous_distance = np.full(n, np.nan)
+        previous_time = np.full(n, -np.inf)
+    return MaskedScan(
+        scan=scan,
+        reading=reading,
+        self_nearest=self_nearest,
+        self_farthest=self_farthest,
+        previous_distance=previous_distance,
+        previous_time=previous_time,
+        position=np.ascontiguousarray(reports[:, _POSITION]),
+        velocity=np.ascontiguousarray(reports[:, _VELOCITY]),
+    )
+
+
+class OcclusionMask(LeafSystem):
+    """Tells the robot and its cell from everything else in a ring's scans.
+
+    .. pydrake_system::
+
+        name: OcclusionMask
+        input_ports:
+        - scan
+        - position_measured
+        - velocity_measured
+        - gripper_closed
+        - products_placed
+        output_ports:
+        - masked_scan
+
+    Once a control tick it remembers what the robot reports; when the scan is
+    new, it tells what each reading means (`mask_scan`). Nothing of the
+    simulated world is used: the rays are cast on a twin that is posed from
+    the measured joints.
+
+    Before the first scan the port holds an empty one (sequence -1).
+    """
+
+    def __init__(
+        self,
+        *,
+        config: OcclusionMaskConfig,
+        caster: RayCaster,
+        bundles: RayBundles,
+        twin: Twin,
+    ):
+        """Constructs the system.
+
+        Args:
+            config: settings.
+            caster: of the twin's SceneGraph.
+            bundles: the ring's rays by that caster, see `make_mask_bundles`.
+            twin: gives the poses of `caster.frame_ids`.
+
+        Raises:
+            UserError: if a setting is out of range.
+        """
+        super().__init__()
+        config.check("mask")
+        self._config = config
+        self._caster = caster
+        self._bundles = bundles
+        self._twin = twin
+        self._scan = self.DeclareAbstractInputPort("scan", Value(RingScan()))
+        self._position = self.DeclareVectorInputPort("position_measured", 6)
+        self._velocity = self.DeclareVectorInputPort("velocity_measured", 6)
+        self._gripper_closed = self.DeclareVectorInputPort("gripper_closed", 1)
+        self._products_placed = self.DeclareVectorInputPort(
+            "products_placed", 1
+        )
+        # A sample that is not stale lies within the history.
+        length = math.ceil(config.max_age / config.period) + 2
+        self._history = self.DeclareAbstractState(
+            Value(make_robot_history(length))
+        )
+        self._masked_scan = self.DeclareAbstractState(Value(MaskedScan()))
+        self.DeclareStateOutputPort("masked_scan", self._masked_scan)
+        self.DeclarePeriodicUnrestrictedUpdateEvent(
+            config.period, 0.0, self._update
+        )
+
+    @property
+    def num_sensors(self) -> int:
+        """Sensors of the ring, n."""
+        return self._bundles.num_bundles
+
+    def _update(self, context: Context, state: State):
+        time = context.get_time()
+        abstract = state.get_mutable_abstract_state()
+        history_value = abstract.get_mutable_value(self._history)
+        history = RobotHistory(
+            push_report(
+                history_value.get_value().table,
+                time,
+                self._position.Eval(context),
+                self._velocity.Eval(context),
+                self._gripper_closed.Eval(context)[0],
+                self._products_placed.Eval(context)[0],
+            )
+        )
+        history_value.set_value(history)
+
+        scan = self._scan.Eval(context)
+        masked_value = abstract.get_mutable_value(self._masked_scan)
+        before = masked_value.get_value()
+        if scan.sequence == before.scan.sequence:
+            return
+        masked_value.set_value(
+            mask_scan(
+                self._config,
+                scan=scan,
+                before=before,
+                time=time,
+                history=history,
+                caster=self._caster,
+                bundles=self._bundles,
+                twin=self._twin,
+            )
+        )
