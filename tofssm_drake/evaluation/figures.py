@@ -620,7 +620,7 @@ def make_reading_image(
         others (fault, masked, clear), or else the last scan before it; where
         there was none yet, the reading is -1.
     """
-    k, n = reading.shape
+    n = reading.shape[1]
     columns = len(edges) - 1
     first = np.searchsorted(time, edges[:-1])
     last = np.searchsorted(time, edges[1:])

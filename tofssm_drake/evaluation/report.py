@@ -19,6 +19,7 @@ from tofssm_drake.evaluation.samples import Samples, write_atomically
 from tofssm_drake.messages import RobotState
 
 _EVENTS_SHOWN = 25
+_NONE = "\u2013"
 
 _CONFIGURATION = {
     "vo": (
@@ -65,7 +66,7 @@ def format_number(value, digits: int = 2, unit: str = "") -> str:
         unit: Appended after a no-break space.
     """
     if value is None or (isinstance(value, float) and math.isnan(value)):
-        return "–"
+        return _NONE
     if isinstance(value, float) and math.isinf(value):
         return "clear"
     text = f"{value:.{digits}f}"
@@ -197,12 +198,12 @@ def _make_headlines(summary, products):
             label="fastest tool",
         ),
         Headline(
-            value=("–" if rmse is None else f"{1000 * rmse:.0f}\u00a0mm"),
+            value=(_NONE if rmse is None else f"{1000 * rmse:.0f}\u00a0mm"),
             label="distance error (RMSE)",
             note="rings against truth, in range",
         ),
         Headline(
-            value=(f"{100 * np.mean(shares):.0f}\u00a0%" if shares else "–"),
+            value=(f"{100 * np.mean(shares):.0f}\u00a0%" if shares else _NONE),
             label="person in range and seen",
             note="mean of the rings, over time",
         ),
@@ -295,7 +296,7 @@ def _make_contact(contact, samples):
 
 def _make_event_row(event: StateEvent):
     name = figures.STATE_NAME
-    ring = event.ring or "–"
+    ring = event.ring or _NONE
     return {
         "time": f"{event.time:.2f}",
         "kind": event.kind,
@@ -417,8 +418,8 @@ def _make_ring_rows(samples, summary):
         rows.append(
             {
                 "name": ring,
-                "rmse": "–" if rmse is None else f"{1000 * rmse:.0f} mm",
-                "share": "–" if share is None else f"{100 * share:.0f} %",
+                "rmse": _NONE if rmse is None else f"{1000 * rmse:.0f} mm",
+                "share": _NONE if share is None else f"{100 * share:.0f} %",
                 "ghost": format_number(
                     summary.get("ghost_s_by_ring", {}).get(ring), 1, "s"
                 ),
@@ -433,7 +434,7 @@ def _make_ring_rows(samples, summary):
 
 
 def _percent(flags):
-    return f"{100 * np.mean(flags):.0f} %" if len(flags) else "–"
+    return f"{100 * np.mean(flags):.0f} %" if len(flags) else _NONE
 
 
 def _make_facts(samples, summary):
