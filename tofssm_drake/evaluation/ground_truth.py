@@ -138,7 +138,7 @@ def _pose_point(X, p, out):
 
 @njit(cache=True)
 def _measure(a_p, a_q, a_r, i, b_p, b_q, b_r, j):
-    d, _, _, p_A, p_B = closest_capsules(
+    d, _, _, p_A, _ = closest_capsules(
         a_p[i : i + 1],
         a_q[i : i + 1],
         a_r[i : i + 1],
@@ -146,7 +146,31 @@ def _measure(a_p, a_q, a_r, i, b_p, b_q, b_r, j):
         b_q[j : j + 1],
         b_r[j : j + 1],
     )
-    return d, i, j, p_A, p_B
+    return d, p_A
+
+
+@njit(cache=True)
+def _find_nearest_axis_point(x, y, z, p, q, r):
+    """Nearest point of the axes of the capsules, as seen from their skins.
+
+    Returns:
+        (distance to the surface, and the vector to the axis point); inf and
+        NaN if there is no capsule.
+    """
+    best, best_x, best_y, best_z = np.inf, np.nan, np.nan, np.nan
+    for j in range(r.shape[0]):
+        ux, uy, uz = q[j, 0] - p[j, 0], q[j, 1] - p[j, 1], q[j, 2] - p[j, 2]
+        vx, vy, vz = p[j, 0] - x, p[j, 1] - y, p[j, 2] - z
+        length2 = ux * ux + uy * uy + uz * uz
+        t = 0.0
+        if length2 > 0.0:
+            t = -(vx * ux + vy * uy + vz * uz) / length2
+            t = min(max(t, 0.0), 1.0)
+        vx, vy, vz = vx + t * ux, vy + t * uy, vz + t * uz
+        d = np.sqrt(vx * vx + vy * vy + vz * vz) - r[j]
+        if d < best:
+            best, best_x, best_y, best_z = d, vx, vy, vz
+    return best, best_x, best_y, best_z
 
 
 @njit(cache=True)
@@ -210,7 +234,7 @@ def calc_truth(
         touching = False
         for i in range(g):
             for j in range(part_radius.shape[0]):
-                d, _, _, p_WR, _ = _measure(
+                d, p_WR = _measure(
                     p_WP, p_WQ, radius, i, part_p, part_q, part_radius, j
                 )
                 if d <= 0.0:
@@ -231,15 +255,12 @@ def calc_truth(
         truth[15] = 0.5 * (part_p[pelvis, 1] + part_q[pelvis, 1])
     else:
         truth[14:16] = np.nan
-    centre = np.empty((1, 3))
-    zero = np.zeros(1)
     for k in range(m):
         X = X_WS[k]
-        centre[0] = X[:, 3]
-        d, i, j, _, p = closest_capsules(
-            centre, centre, zero, part_p, part_q, part_radius
+        # The surface's nearest point lies in the direction of the axis'.
+        d, v0, v1, v2 = _find_nearest_axis_point(
+            X[0, 3], X[1, 3], X[2, 3], part_p, part_q, part_radius
         )
-        v0, v1, v2 = p[0] - X[0, 3], p[1] - X[1, 3], p[2] - X[2, 3]
         x = X[0, 0] * v0 + X[1, 0] * v1 + X[2, 0] * v2
         y = X[0, 1] * v0 + X[1, 1] * v1 + X[2, 1] * v2
         z = X[0, 2] * v0 + X[1, 2] * v1 + X[2, 2] * v2
