@@ -1,5 +1,6 @@
 """Replay of a run that any browser opens, offline."""
 
+import html
 import importlib.resources
 from pathlib import Path
 
