@@ -29,6 +29,9 @@ MIN_DISTANCE = 1e-3
 # As compile-time constants for the kernel.
 _HEALTHY = int(RingHealth.HEALTHY)
 _FAULTED = int(RingHealth.FAULTED)
+_STOP = float(RobotState.STOP)
+_REDUCED = float(RobotState.REDUCED)
+_NORMAL = float(RobotState.NORMAL)
 
 
 @njit(cache=True)
@@ -100,6 +103,18 @@ def _calc_index(c, state, sequence, distance, link_speed, k, health, index):
         index[6, i] = health[i]
 
 
+@njit(cache=True)
+def _calc_next_state(state, sequence, dsi, robot_state, result):
+    m = len(sequence)
+    for i in range(m):
+        is_new = sequence[i] != state[i]
+        result[i] = sequence[i]
+        result[m + i] = dsi[i]
+        result[2 * m + i] = state[3 * m] if is_new else state[2 * m + i]
+    is_known = robot_state == _REDUCED or robot_state == _NORMAL
+    result[3 * m] = robot_state if is_known else _STOP
+
+
 def make_initial_filter_state(m: int) -> np.ndarray:
     """Returns the filter's state before any sample, shape (3 m + 1,).
 
@@ -111,8 +126,7 @@ def make_initial_filter_state(m: int) -> np.ndarray:
         [
             np.full(m, -1.0),
             np.full(m, np.inf),
-            np.full(m, float(RobotState.STOP)),
-            [float(RobotState.STOP)],
+            np.full(m + 1, _STOP),
         ]
     )
 
@@ -178,15 +192,8 @@ def calc_next_filter_state(
         robot_state: psi that followed from the index; not a number of
             `RobotState`: STOP.
     """
-    m = len(index.sequence)
-    result = np.empty(3 * m + 1)
-    result[:m] = index.sequence
-    result[m : 2 * m] = index.dsi
-    result[2 * m : 3 * m] = np.where(
-        index.sequence != state[:m], state[3 * m], state[2 * m : 3 * m]
-    )
-    is_known = robot_state in (RobotState.REDUCED, RobotState.NORMAL)
-    result[3 * m] = robot_state if is_known else RobotState.STOP
+    result = np.empty(len(state))
+    _calc_next_state(state, index.sequence, index.dsi, robot_state, result)
     return result
 
 
