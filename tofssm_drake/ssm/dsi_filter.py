@@ -136,7 +136,6 @@ def calc_safety_index(
     constants: DistanceConstants,
     state: np.ndarray,
     separation: Separation,
-    use_k_o: bool,
 ) -> SafetyIndex:
     """Returns the filtered index and the thresholds of every link.
 
@@ -149,8 +148,6 @@ def calc_safety_index(
         constants: Settings.
         state: As make_initial_filter_state() tells, shape (3 m + 1,).
         separation: What the sensing found.
-        use_k_o: Whether the relative directed speed counts ("vo"), or that
-            of the link alone.
 
     Returns:
         The index. `dsi_raw` is NaN where the link has no reading. A distance
@@ -163,7 +160,7 @@ def calc_safety_index(
         separation.sequence,
         separation.distance,
         separation.link_speed,
-        separation.k_o if use_k_o else separation.k_l,
+        separation.k_o if constants.use_k_o else separation.k_l,
         separation.health,
         index,
     )
@@ -230,7 +227,6 @@ class DsiFilter(LeafSystem):
         config = SsmConfig() if config is None else config
         config.check("ssm")
         self._constants = make_distance_constants(config)
-        self._use_k_o = config.configuration == "vo"
         self._name = tuple(name)
 
         self._separation = self.DeclareAbstractInputPort(
@@ -265,7 +261,6 @@ class DsiFilter(LeafSystem):
                 constants=self._constants,
                 state=context.get_discrete_state(self._state).value(),
                 separation=separation,
-                use_k_o=self._use_k_o,
             )
         )
 
