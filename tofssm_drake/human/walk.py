@@ -219,7 +219,11 @@ def make_gait(*, speed: float, stride: float, stature: float) -> Gait:
             heel_landing + foot * np.where(u < 0.09, np.cos(pitch), 1.0),
             toe_stance + ease * (stride + toe_landing - toe_stance),
         )
-        clearance = 0.016 * H * np.sin(np.pi * swing) ** 2
+        clearance = H * _interpolate_cycle(
+            u,
+            [0.0, _STANCE, 0.69, 0.80, 0.94],
+            [0.0, 0.0, 0.030, 0.016, 0.010],
+        )
         toe_z = radius + clearance + foot * np.maximum(np.sin(-pitch), 0.0)
         toe_x = toe_x - stride * u
         y = sign * 0.048 * H
@@ -250,7 +254,7 @@ def make_gait(*, speed: float, stride: float, stature: float) -> Gait:
             [
                 sign * half_hips * np.sin(yaw),
                 sway + sign * half_hips * np.cos(yaw),
-                bob - sign * half_hips * np.sin(roll),
+                bob + sign * half_hips * np.sin(roll),
             ],
             axis=-1,
         )
@@ -302,9 +306,7 @@ def make_gait(*, speed: float, stride: float, stature: float) -> Gait:
     for side, sign in (("left", 1), ("right", -1)):
         forward = -sign * np.cos(wave)  # Against the leg of its side.
         swing = math.radians(20.0) * vigour * forward + math.radians(-3.0)
-        bend = math.radians(18.0) + math.radians(12.0) * vigour * (
-            1.0 + forward
-        )
+        bend = math.radians(14.0) + math.radians(9.0) * vigour * (1.0 + forward)
         p = [
             shoulder_x + sign * half_shoulders * np.sin(twist),
             shoulder_y + sign * half_shoulders * np.cos(twist),
