@@ -25,6 +25,7 @@ from tofssm_drake.robot.products import (
     calc_product_poses,
     calc_product_positions,
 )
+from tofssm_drake.robot.ring_looks import add_ring_looks
 
 _URL = f"package://{models.PACKAGE}/"
 
@@ -93,6 +94,8 @@ def make_cell_plant(
         # reads what would be sampled (contact results).
         plant.SetUseSampledOutputPorts(False)
     plant.Finalize()
+    if sensors_per_ring and scene_graph is not None:
+        add_ring_looks(plant, scene_graph)
     if meshes:
         if scene_graph is None:
             raise ValueError("meshes: there is no scene_graph to put them in")
