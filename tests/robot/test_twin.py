@@ -43,6 +43,22 @@ class TestCellPlant(unittest.TestCase):
         np.testing.assert_allclose(X_WB.translation(), [0, 0, 0.72])
         self.assertFalse(plant.HasBodyNamed("box"))
 
+    def test_ring_looks(self):
+        """Checks that rings are there to look at and are not seen."""
+        scene_graph = SceneGraph()
+        mut.make_cell_plant(scene_graph=scene_graph)
+        inspector = scene_graph.model_inspector()
+        for role, count in (
+            (Role.kIllustration, 3 + 24),
+            (Role.kPerception, 0),
+            (Role.kProximity, 0),
+        ):
+            names = [
+                inspector.GetName(geometry_id)
+                for geometry_id in inspector.GetAllGeometryIds(role)
+            ]
+            self.assertEqual(sum("_ring_" in name for name in names), count)
+
     def test_unknown_ring_model(self):
         with self.assertRaisesRegex(UserError, "sensors_per_ring.* 8, 16"):
             mut.make_cell_plant(sensors_per_ring=12)
