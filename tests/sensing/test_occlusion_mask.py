@@ -32,10 +32,10 @@ class SphereTwin:
     def __init__(self):
         self.asked = []
 
-    def calc_frame_poses(self, position, gripper_closed, products_placed):
-        self.asked.append((position.copy(), gripper_closed, products_placed))
+    def calc(self, q, gripper_closed, products_placed):
+        self.asked.append((q.copy(), gripper_closed, products_placed))
         X_WF = np.eye(3, 4)[None].repeat(2, axis=0)
-        X_WF[0, 0, 3] = position[0] + RADIUS
+        X_WF[0, 0, 3] = q[0] + RADIUS
         return X_WF
 
 
