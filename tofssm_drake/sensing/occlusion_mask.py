@@ -111,14 +111,13 @@ def make_mask_bundles(
 class Twin(Protocol):
     """The monitor's own idea of the robot, what it holds, and its cell."""
 
-    def calc_frame_poses(
-        self,
-        position: np.ndarray,
-        gripper_closed: float,
-        products_placed: float,
+    def calc(
+        self, q: np.ndarray, gripper_closed: float, products_placed: float
     ) -> np.ndarray:
         """Returns X_WF of the mask's ray caster's frames, (frames, 3, 4)."""
 
+
+_VALID = int(Reading.VALID)
 
 # Columns of the history's table.
 _TIME, _POSITION, _VELOCITY = 0, slice(1, 7), slice(7, 13)
@@ -202,6 +201,43 @@ def hold_readings(scan: RingScan, before: RingScan) -> RingScan:
     )
 
 
+@njit(cache=True)
+def pick_previous(
+    sensor_time,
+    before_time,
+    before_distance,
+    before_reading,
+    before_previous_distance,
+    before_previous_time,
+):
+    """Returns each sensor's sample before this one.
+
+    Args:
+        sensor_time: of the new samples, s, (n,).
+        before_time: of the samples in the scan before, s, (n,).
+        before_distance: those, m, (n,).
+        before_reading: what they meant, (n,).
+        before_previous_distance: the samples before those, m, (n,).
+        before_previous_time: when they were, s, (n,).
+
+    Returns:
+        Distance, m, (n,), NaN where it was not VALID; its time, s, (n,).
+    """
+    n = sensor_time.shape[0]
+    distance = np.full(n, np.nan)
+    time = np.empty(n)
+    for i in range(n):
+        if sensor_time[i] == before_time[i]:
+            # A sample that is held has still the same one before it.
+            distance[i] = before_previous_distance[i]
+            time[i] = before_previous_time[i]
+        else:
+            if before_reading[i] == _VALID:
+                distance[i] = before_distance[i]
+            time[i] = before_time[i]
+    return distance, time
+
+
 def mask_scan(
     config: OcclusionMaskConfig,
     *,
@@ -239,33 +275,10 @@ def mask_scan(
         raise ValueError(
             f"scan of {n} sensors, but the mask has {bundles.num_bundles}"
         )
-    new_scan = scan
     scan = hold_readings(scan, before.scan)
-
-    # Mostly one time for all sensors.
-    reports = np.zeros((n, _COLUMNS))
-    self_nearest = np.full(n, np.inf)
-    self_farthest = np.full(n, -np.inf)
-    todo = np.isfinite(scan.sensor_time)
-    while todo.any():
-        sensor_time = scan.sensor_time[np.argmax(todo)]
-        now = scan.sensor_time == sensor_time
-        todo &= ~now
-        report = interpolate_reports(history.table, sensor_time)
-        reports[now] = report
-        if config.enabled:
-            self_distance, _ = caster.cast_bundles(
-                bundles,
-                twin.calc_frame_poses(
-                    report[_POSITION],
-                    report[_GRIPPER_CLOSED],
-                    report[_PRODUCTS_PLACED],
-                ),
-            )
-            nearest, farthest = calc_self_interval(self_distance)
-            self_nearest[now] = nearest[now]
-            self_farthest[now] = farthest[now]
-
+    reports, self_nearest, self_farthest = _cast_on_twin(
+        config, scan.sensor_time, history, caster, bundles, twin
+    )
     reading, reckoned = classify_readings(
         scan.distance,
         scan.status,
@@ -277,24 +290,20 @@ def mask_scan(
         config.max_range,
         config.max_age,
     )
-    if (reckoned != scan.distance).any():
-        scan = dc.replace(scan, distance=reckoned)
-
     if before.reading.shape == (n,):
-        previous_distance = np.where(
-            before.reading == Reading.VALID, before.scan.distance, np.nan
+        previous_distance, previous_time = pick_previous(
+            scan.sensor_time,
+            before.scan.sensor_time,
+            before.scan.distance,
+            before.reading,
+            before.previous_distance,
+            before.previous_time,
         )
-        previous_time = before.scan.sensor_time
-        if scan.sensor_time is not new_scan.sensor_time:
-            # A sample that is held has still the same one before it.
-            held = scan.sensor_time == previous_time
-            previous_distance = np.where(
-                held, before.previous_distance, previous_distance
-            )
-            previous_time = np.where(held, before.previous_time, previous_time)
     else:
         previous_distance = np.full(n, np.nan)
         previous_time = np.full(n, -np.inf)
+    if (reckoned != scan.distance).any():
+        scan = dc.replace(scan, distance=reckoned)
     return MaskedScan(
         scan=scan,
         reading=reading,
@@ -302,9 +311,48 @@ def mask_scan(
         self_farthest=self_farthest,
         previous_distance=previous_distance,
         previous_time=previous_time,
-        position=np.ascontiguousarray(reports[:, _POSITION]),
-        velocity=np.ascontiguousarray(reports[:, _VELOCITY]),
+        position=reports[:, _POSITION].copy(),
+        velocity=reports[:, _VELOCITY].copy(),
     )
+
+
+def _cast_on_twin(config, sensor_time, history, caster, bundles, twin):
+    """Returns the robot's report for each sensor's time, and its self-hits."""
+
+    def cast(time):
+        report = interpolate_reports(history.table, time)
+        if not config.enabled:
+            return report, no_hit, -no_hit
+        self_distance, _ = caster.cast_bundles(
+            bundles,
+            twin.calc(
+                report[_POSITION],
+                report[_GRIPPER_CLOSED],
+                report[_PRODUCTS_PLACED],
+            ),
+        )
+        return report, *calc_self_interval(self_distance)
+
+    n = len(sensor_time)
+    no_hit = np.full(n, np.inf)
+    # Mostly one time for all sensors.
+    if (sensor_time == sensor_time[0]).all():
+        report, nearest, farthest = cast(sensor_time[0])
+        return np.repeat(report[None], n, axis=0), nearest, farthest
+
+    reports = np.zeros((n, _COLUMNS))
+    self_nearest = no_hit.copy()
+    self_farthest = -no_hit
+    todo = np.isfinite(sensor_time)
+    while todo.any():
+        time = sensor_time[np.argmax(todo)]
+        now = sensor_time == time
+        todo &= ~now
+        report, nearest, farthest = cast(time)
+        reports[now] = report
+        self_nearest[now] = nearest[now]
+        self_farthest[now] = farthest[now]
+    return reports, self_nearest, self_farthest
 
 
 class OcclusionMask(LeafSystem):

@@ -320,7 +320,7 @@ def calc_link_row(
 def make_separation(rows: np.ndarray, name: tuple[str, ...]) -> Separation:
     """Makes the message from the links' rows, (m, 15)."""
     # By columns, so that each field is contiguous.
-    columns = np.ascontiguousarray(rows.T)
+    columns = rows.T.copy()
     whole = columns[_REALS:].astype(int)
     return Separation(
         name=name,
