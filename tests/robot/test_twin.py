@@ -223,3 +223,44 @@ class TestSensorsAreOutside(unittest.TestCase):
                             (frames[i].name(), inspector.GetName(one.id_G), s),
                         )
         self.assertLess(nearest, 0.3)
+
+
+class TestPathIsClear(unittest.TestCase):
+    def test_robot_touches_nothing(self):
+        """Checks the whole nominal motion for collisions of the robot and
+        its gripper with the cell and with itself."""
+        builder = DiagramBuilder()
+        scene_graph = builder.AddSystem(SceneGraph())
+        plant = mut.make_cell_plant(scene_graph=scene_graph)
+        poses = builder.AddSystem(MultibodyPositionToGeometryPose(plant))
+        builder.Connect(
+            poses.get_output_port(),
+            scene_graph.get_source_pose_port(plant.get_source_id()),
+        )
+        builder.ExportInput(poses.get_input_port(), "positions")
+        diagram = builder.Build()
+        context = diagram.CreateDefaultContext()
+        inspector = scene_graph.model_inspector()
+        path = make_program_path(
+            ProgramConfig(), RingKinematics.from_plant(plant)
+        )
+        nearest = np.inf
+        for s in np.arange(0, path.duration, 0.05):
+            diagram.GetInputPort("positions").FixValue(
+                context, path.calc_motion(s)[0]
+            )
+            query = scene_graph.get_query_output_port().Eval(
+                scene_graph.GetMyContextFromRoot(context)
+            )
+            for pair in query.ComputeSignedDistancePairwiseClosestPoints(0.05):
+                nearest = min(nearest, pair.distance)
+                self.assertGreater(
+                    pair.distance,
+                    0.003,
+                    (
+                        inspector.GetName(pair.id_A),
+                        inspector.GetName(pair.id_B),
+                        s,
+                    ),
+                )
+        self.assertLess(nearest, 0.05)
