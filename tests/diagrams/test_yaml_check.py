@@ -4,8 +4,8 @@ import unittest
 import numpy as np
 from pydrake.common.yaml import yaml_load_typed
 
-from tofssm_drake.errors import UserError
 import tofssm_drake.diagrams.yaml_check as mut
+from tofssm_drake.errors import UserError
 
 
 @dc.dataclass(kw_only=True)
