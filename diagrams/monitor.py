@@ -1,6 +1,5 @@
 """The monitor: from scans and the robot's own report to a speed fraction."""
 
-
 from pydrake.geometry import SceneGraph
 from pydrake.systems.framework import Diagram, DiagramBuilder
 
@@ -73,7 +72,7 @@ def make_monitor(scenario: Scenario) -> Diagram:
         products=scenario.program.products,
     )
     kinematics = RingKinematics.from_plant(plant)
-    masks, geometries = _add_masks(
+    mask, geometries = _add_mask(
         builder, scenario, scene_graph, plant, kinematics
     )
     separation = builder.AddNamedSystem(
@@ -84,9 +83,9 @@ def make_monitor(scenario: Scenario) -> Diagram:
             geometries=geometries,
         ),
     )
-    for name, mask in zip(RINGS, masks, strict=True):
+    for name in RINGS:
         builder.Connect(
-            mask.GetOutputPort("masked_scan"),
+            mask.GetOutputPort(f"masked_scan_{name}"),
             separation.GetInputPort(f"masked_scan_{name}"),
         )
     dsi_filter = builder.AddNamedSystem(
@@ -115,49 +114,44 @@ def make_monitor(scenario: Scenario) -> Diagram:
     ):
         for name in names:
             builder.ExportOutput(system.GetOutputPort(name), name)
-    for name, mask in zip(RINGS, masks, strict=True):
-        builder.ExportOutput(
-            mask.GetOutputPort("masked_scan"), f"masked_scan_{name}"
-        )
+    for name in RINGS:
+        port = f"masked_scan_{name}"
+        builder.ExportOutput(mask.GetOutputPort(port), port)
     diagram = builder.Build()
     diagram.set_name("monitor")
     return diagram
 
 
-def _add_masks(builder, scenario, scene_graph, plant, kinematics):
-    """Adds a mask per ring with its inputs; returns them and the rings."""
+def _add_mask(builder, scenario, scene_graph, plant, kinematics):
+    """Adds the mask with its inputs; returns it and the rings."""
     inspector = scene_graph.model_inspector()
     caster = RayCaster(inspector)
-    twin = TwinPoses.from_plant(
-        plant,
-        layout=ProductLayout.from_config(scenario.program),
-        frame_ids=caster.frame_ids,
-        kinematics=kinematics,
-    )
-    masks, geometries = [], []
-    for name in RINGS:
-        mount = find_ring_mount(plant, inspector, name)
-        mask = builder.AddNamedSystem(
-            f"mask_{name}",
-            OcclusionMask(
-                config=scenario.mask,
-                caster=caster,
-                bundles=make_mask_bundles(
+    mounts = [find_ring_mount(plant, inspector, name) for name in RINGS]
+    mask = builder.AddNamedSystem(
+        "mask",
+        OcclusionMask(
+            config=scenario.mask,
+            caster=caster,
+            bundles=[
+                make_mask_bundles(
                     config=scenario.mask,
                     ring_config=scenario.rings,
                     caster=caster,
                     frame_id=mount.frame_id,
                     X_FS=mount.X_FS,
                     excluded=mount.geometry_ids,
-                ),
-                twin=twin,
+                )
+                for mount in mounts
+            ],
+            # After the bundles, which may add frames to the caster's.
+            twin=TwinPoses.from_plant(
+                plant,
+                layout=ProductLayout.from_config(scenario.program),
+                frame_ids=caster.frame_ids,
+                kinematics=kinematics,
             ),
-        )
-        masks.append(mask)
-        geometries.append(make_ring_geometry(mount.X_LS))
-        builder.ExportInput(mask.GetInputPort("scan"), f"scan_{name}")
-    for port in _ROBOT_REPORT:
-        builder.ExportInput(masks[0].GetInputPort(port), port)
-        for mask in masks[1:]:
-            builder.ConnectInput(port, mask.GetInputPort(port))
-    return masks, geometries
+        ),
+    )
+    for port in (*(f"scan_{name}" for name in RINGS), *_ROBOT_REPORT):
+        builder.ExportInput(mask.GetInputPort(port), port)
+    return mask, [make_ring_geometry(mount.X_LS) for mount in mounts]

@@ -18,7 +18,7 @@ from pydrake.systems.analysis import Simulator
 
 from tofssm_drake.errors import UserError
 from tofssm_drake.geometry.ray_caster import RayCaster
-from tofssm_drake.messages import MaskedScan, Reading, RingScan
+from tofssm_drake.messages import RINGS, MaskedScan, Reading, RingScan
 import tofssm_drake.sensing.occlusion_mask as mut
 from tofssm_drake.sensing.tof_ring import TofRingConfig
 
@@ -79,14 +79,14 @@ def make_scan(distance, status=0, *, sequence=0, time=1.0, n=8):
 
 
 def make_history(times, positions, gripper_closed=0.0, products_placed=0.0):
-    table = mut.make_robot_history(len(times)).table
+    table = mut.make_robot_history(len(times))
     for time, position in zip(times, positions, strict=True):
         q = np.zeros(6)
         q[0] = position
         table = mut.push_report(
             table, time, q, 10 * q, gripper_closed, products_placed
         )
-    return mut.RobotHistory(table)
+    return table
 
 
 class TestConfig(unittest.TestCase):
@@ -130,18 +130,18 @@ class TestHistory(unittest.TestCase):
     def test_linear_motion_is_met_exactly(self, t, slope, start):
         times = 0.008 * np.arange(8)
         history = make_history(times, start + slope * times)
-        dut = mut.interpolate_reports(history.table, t)
+        dut = mut.interpolate_reports(history, t)
         self.assertAlmostEqual(dut[1], start + slope * t, delta=1e-12)
         self.assertAlmostEqual(dut[7], 10 * (start + slope * t), delta=1e-11)
 
     def test_outside_of_its_span(self):
         history = make_history([1.0, 1.008], [0.5, 0.6])
-        self.assertEqual(mut.interpolate_reports(history.table, 0.9)[1], 0.5)
-        self.assertEqual(mut.interpolate_reports(history.table, 1.1)[1], 0.6)
+        self.assertEqual(mut.interpolate_reports(history, 0.9)[1], 0.5)
+        self.assertEqual(mut.interpolate_reports(history, 1.1)[1], 0.6)
 
     def test_unused_rows_are_not_looked_at(self):
         table = mut.push_report(
-            mut.make_robot_history(5).table,
+            mut.make_robot_history(5),
             1.0,
             np.full(6, 0.3),
             np.zeros(6),
@@ -154,7 +154,7 @@ class TestHistory(unittest.TestCase):
             np.testing.assert_array_equal(dut[13:], [1.0, 4.0])
 
     def test_gripper_and_products_are_those_before(self):
-        table = make_history([1.0, 1.008], [0.0, 0.0], 0.0, 3.0).table
+        table = make_history([1.0, 1.008], [0.0, 0.0], 0.0, 3.0)
         table = mut.push_report(
             table, 1.016, np.zeros(6), np.zeros(6), 1.0, 4.0
         )
@@ -164,7 +164,7 @@ class TestHistory(unittest.TestCase):
         np.testing.assert_array_equal(dut[13:], [1.0, 4.0])
 
     def test_oldest_is_dropped_and_the_old_table_stays(self):
-        old = make_history([1.0, 1.008], [0.5, 0.6]).table
+        old = make_history([1.0, 1.008], [0.5, 0.6])
         copy = old.copy()
         new = mut.push_report(
             old, 1.016, np.full(6, 0.7), np.zeros(6), 0.0, 0.0
@@ -182,7 +182,7 @@ class TestMaskScan(unittest.TestCase):
             scan=scan,
             before=before or MaskedScan(),
             time=scan.time,
-            history=make_history([0.0, 2.0], [position, position]),
+            table=make_history([0.0, 2.0], [position, position]),
             **{**self.cell, **kwargs},
         )
 
@@ -228,7 +228,7 @@ class TestMaskScan(unittest.TestCase):
             scan=make_scan(0.506, time=time),
             before=MaskedScan(),
             time=1.032,
-            history=history,
+            table=history,
             **cell,
         )
         self.assertAlmostEqual(dut.self_nearest[0], 0.506, delta=1e-12)
@@ -250,7 +250,7 @@ class TestMaskScan(unittest.TestCase):
             scan=scan,
             before=MaskedScan(),
             time=1.032,
-            history=make_history(times, 0.5 + 1.5 * (times - 1.0)),
+            table=make_history(times, 0.5 + 1.5 * (times - 1.0)),
             **cell,
         )
         np.testing.assert_allclose(dut.position[0::2, 0], 0.5)
@@ -334,10 +334,16 @@ class TestOcclusionMask(unittest.TestCase):
     def setUp(self):
         config = mut.OcclusionMaskConfig()
         self.cell = make_cell(config)
-        self.dut = mut.OcclusionMask(config=config, **self.cell)
+        self.dut = mut.OcclusionMask(
+            config=config,
+            caster=self.cell["caster"],
+            bundles=[self.cell["bundles"]] * 3,
+            twin=self.cell["twin"],
+        )
         self.simulator = Simulator(self.dut)
         self.context = self.simulator.get_mutable_context()
-        self.fix_scan(RingScan())
+        for ring in RINGS:
+            self.fix_scan(RingScan(), ring)
         self.fix("position_measured", [0.5, 0, 0, 0, 0, 0])
         self.fix("velocity_measured", np.arange(6.0))
         self.fix("gripper_closed", [1.0])
@@ -346,11 +352,13 @@ class TestOcclusionMask(unittest.TestCase):
     def fix(self, name, value):
         self.dut.GetInputPort(name).FixValue(self.context, value)
 
-    def fix_scan(self, scan):
-        self.fix("scan", Value(scan))
+    def fix_scan(self, scan, ring="base"):
+        self.fix(f"scan_{ring}", Value(scan))
 
-    def eval(self):
-        return self.dut.GetOutputPort("masked_scan").Eval(self.context)
+    def eval(self, ring="base", context=None):
+        return self.dut.GetOutputPort(f"masked_scan_{ring}").Eval(
+            context or self.context
+        )
 
     def test_ports(self):
         self.assertEqual(
@@ -359,18 +367,37 @@ class TestOcclusionMask(unittest.TestCase):
                 for i in range(self.dut.num_input_ports())
             ],
             [
-                "scan",
+                "scan_base",
+                "scan_elbow",
+                "scan_tool",
                 "position_measured",
                 "velocity_measured",
                 "gripper_closed",
                 "products_placed",
             ],
         )
+        self.assertEqual(
+            [
+                self.dut.get_output_port(i).get_name()
+                for i in range(self.dut.num_output_ports())
+            ],
+            ["masked_scan_base", "masked_scan_elbow", "masked_scan_tool"],
+        )
         self.assertFalse(self.dut.HasAnyDirectFeedthrough())
+
+    def test_one_set_of_rays_per_ring(self):
+        with self.assertRaisesRegex(ValueError, "1 for 3 rings"):
+            mut.OcclusionMask(
+                config=mut.OcclusionMaskConfig(),
+                caster=self.cell["caster"],
+                bundles=[self.cell["bundles"]],
+                twin=self.cell["twin"],
+            )
 
     def test_nothing_before_the_first_scan(self):
         self.simulator.AdvanceTo(0.1)
-        self.assertEqual(self.eval().scan.sequence, -1)
+        for ring in RINGS:
+            self.assertEqual(self.eval(ring).scan.sequence, -1)
         self.assertEqual(self.cell["twin"].asked, [])
 
     def test_masks_each_scan_once_in_the_tick_that_sees_it(self):
@@ -385,13 +412,26 @@ class TestOcclusionMask(unittest.TestCase):
         np.testing.assert_array_equal(first.velocity[0], np.arange(6.0))
         self.simulator.AdvanceTo(0.05)
         self.assertIs(self.eval(), first)
-        self.assertEqual(len(self.cell["twin"].asked), 1)
+        ((_, gripper_closed, products_placed),) = self.cell["twin"].asked
+        self.assertEqual((gripper_closed, products_placed), (1.0, 3.0))
 
         self.fix_scan(make_scan(0.7, sequence=1, time=0.040))
         self.simulator.AdvanceTo(0.0561)
         self.assertEqual(self.eval().reading[0], VALID)
         # The robot was masked: no sample before.
         self.assertTrue(np.isnan(self.eval().previous_distance[0]))
+
+    def test_rings_do_not_touch_each_other(self):
+        self.fix_scan(make_scan(0.7, time=0.0), "elbow")
+        self.simulator.AdvanceTo(0.001)
+        elbow = self.eval("elbow")
+        self.assertEqual(elbow.reading[0], VALID)
+        self.assertEqual(self.eval("base").scan.sequence, -1)
+        self.fix_scan(make_scan(0.5, time=0.008), "tool")
+        self.simulator.AdvanceTo(0.009)
+        self.assertIs(self.eval("elbow"), elbow)
+        self.assertEqual(self.eval("tool").reading[0], MASKED)
+        self.assertEqual(self.eval("base").scan.sequence, -1)
 
     def test_history_reaches_back_as_far_as_a_sample_may_be_old(self):
         for tick in range(30):
@@ -409,8 +449,7 @@ class TestOcclusionMask(unittest.TestCase):
         self.fix_scan(make_scan(0.5, time=0.09))
         self.simulator.AdvanceTo(0.105)
         self.assertEqual(self.eval().scan.sequence, 0)
-        dut = self.dut.GetOutputPort("masked_scan").Eval(other)
-        self.assertEqual(dut.scan.sequence, -1)
+        self.assertEqual(self.eval(context=other).scan.sequence, -1)
 
 
 if __name__ == "__main__":
