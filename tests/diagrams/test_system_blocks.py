@@ -51,9 +51,7 @@ def find_systems(diagram):
 
 
 def find_public_leaf_systems():
-    for module in pkgutil.walk_packages(
-        tofssm_drake.__path__, "tofssm_drake."
-    ):
+    for module in pkgutil.walk_packages(tofssm_drake.__path__, "tofssm_drake."):
         loaded = importlib.import_module(module.name)
         for name, value in vars(loaded).items():
             if (
