@@ -13,14 +13,13 @@ class TestSsmConfig(unittest.TestCase):
         dut = mut.SsmConfig()
         dut.check("ssm")
         self.assertEqual(
-            [dut.T_red, dut.T_stop, dut.T_R, dut.V_lmax, dut.V_hmax],
-            [0.4, 0.4, 0.1, 1.7, 1.6],
+            [dut.T_red, dut.T_stop, dut.T_R, dut.V_lmax],
+            [0.4, 0.4, 0.1, 1.7],
         )
         self.assertEqual([dut.C_dC, dut.B_min], [0.3, 0.2])
         self.assertEqual([dut.d_C_sm, dut.d_R_sm], [0.5, 1.1])
         self.assertEqual([dut.alpha_I, dut.alpha_D], [0.3, 0.8])
         self.assertEqual(dut.k_omax, 3.3)
-        self.assertAlmostEqual(dut.k_omax, dut.V_lmax + dut.V_hmax)
         self.assertEqual(dut.k_lmax, dut.V_lmax)
         self.assertFalse(dut.literal)
 

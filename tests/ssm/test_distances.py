@@ -249,3 +249,23 @@ class TestDistances(unittest.TestCase):
                 np.linalg.norm(p_LO + v * dt) - np.linalg.norm(p_LO - v * dt)
             ) / (2.0 * dt)
             self.assertAlmostEqual(float(k), closing, delta=1e-6)
+
+
+class TestAgainstTheStandard(unittest.TestCase):
+    def test_shortfall(self):
+        """The figures of docs/safety_law.md: S_p of ISO/TS 15066 less d_C."""
+        v_r = np.array([0.0, 0.5, 0.85, 1.0, 1.7])
+        v_h, T_R, T_S, C = 1.6, 0.1, 0.4, 0.3
+        S_p = v_h * (T_R + T_S) + v_r * T_R + v_r * T_S / 2.0 + C
+        np.testing.assert_allclose(S_p, [1.1, 1.25, 1.355, 1.4, 1.61])
+        for configuration, k, shortfall in (
+            ("vo", v_h + v_r, [0.115, 0.165, 0.200, 0.215, 0.145]),
+            ("vr", v_r, [0.515, 0.565, 0.600, 0.615, 0.545]),
+            ("sm", v_r, [0.600, 0.750, 0.855, 0.900, 1.110]),
+        ):
+            d_C = mut.calc_critical_distance(
+                config=SsmConfig(configuration=configuration),
+                k=k,
+                link_speed=v_r,
+            )
+            np.testing.assert_allclose(S_p - d_C, shortfall)

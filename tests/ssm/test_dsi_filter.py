@@ -131,7 +131,6 @@ class TestCalcSafetyIndex(unittest.TestCase):
             constants=make_distance_constants(self.config),
             state=self.state,
             separation=separation,
-            use_k_o=self.config.configuration == "vo",
         )
 
     def step(self, separation, robot_state):

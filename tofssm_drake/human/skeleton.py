@@ -47,6 +47,29 @@ and `toe` are the ends of the foot's capsule: one foot radius above the floor
 when the foot stands flat.
 """
 
+PARENTS = {
+    "waist": "pelvis",
+    "neck": "waist",
+    "head": "neck",
+    "head_top": "head",
+    **{
+        f"{side}_{child}": parent.replace("*", side)
+        for side in _SIDES
+        for child, parent in (
+            ("shoulder", "neck"),
+            ("elbow", "*_shoulder"),
+            ("wrist", "*_elbow"),
+            ("hand", "*_wrist"),
+            ("hip", "pelvis"),
+            ("knee", "*_hip"),
+            ("ankle", "*_knee"),
+            ("toe", "*_ankle"),
+            ("heel", "*_toe"),
+        )
+    },
+}
+"""Chains of landmarks, from the pelvis outwards."""
+
 JOINTS = (
     *LANDMARKS,
     *(
@@ -170,7 +193,8 @@ def calc_radii(stature: float) -> np.ndarray:
     return stature * np.array([capsule.radius for capsule in CAPSULES])
 
 
-def _normalize(vector):
+def normalize(vector: np.ndarray) -> np.ndarray:
+    """Returns vectors of length 1 (or 0), shape (..., 3)."""
     norm = np.linalg.norm(vector, axis=-1, keepdims=True)
     return vector / np.maximum(norm, 1e-12)
 
@@ -185,8 +209,8 @@ def calc_frames(up: np.ndarray, left: np.ndarray) -> np.ndarray:
     Returns:
         Rotation matrices, columns forward, left, up, shape (T, 3, 3).
     """
-    z = _normalize(up)
-    x = _normalize(np.cross(left, z))
+    z = normalize(up)
+    x = normalize(np.cross(left, z))
     return np.stack([x, np.cross(z, x), z], axis=-1)
 
 
@@ -246,7 +270,7 @@ def complete_joints(landmarks: np.ndarray, stature: float) -> np.ndarray:
                 R_chest,
                 [0.004, sign * 0.040, offset],
             )
-    axis = _normalize(point["head_top"] - point["head"])
+    axis = normalize(point["head_top"] - point["head"])
     for name, depth in (
         ("head_high", HEAD_RADIUS),
         ("head_low", HEAD_HEIGHT - HEAD_RADIUS),

@@ -42,6 +42,10 @@ _STANCE = 0.61
 _LONGEST_REACH = 0.998
 """Of the leg's length: no knee is ever locked."""
 
+DOWN = 0.35
+"""A foot is down while its lowest part is slower than this, as a fraction of
+the walking speed."""
+
 _MOST_LAPS = 5
 
 _LEG_NAMES = ("knee", "ankle", "heel", "toe")
@@ -213,13 +217,16 @@ def make_gait(*, speed: float, stride: float, stature: float) -> Gait:
         toe_stance = heel_landing + foot
         toe_landing = heel_landing + foot * np.cos(pitch[np.argmin(u)])
         swing = np.clip((u - _STANCE) / (1 - _STANCE), 0.0, 1.0)
-        ease = swing**2 * (3 - 2 * swing)
         toe_x = np.where(
             u <= _STANCE,
             heel_landing + foot * np.where(u < 0.09, np.cos(pitch), 1.0),
-            toe_stance + ease * (stride + toe_landing - toe_stance),
+            toe_stance + ease(swing) * (stride + toe_landing - toe_stance),
         )
-        clearance = 0.016 * H * np.sin(np.pi * swing) ** 2
+        clearance = H * _interpolate_cycle(
+            u,
+            [0.0, _STANCE, 0.69, 0.80, 0.94],
+            [0.0, 0.0, 0.030, 0.016, 0.010],
+        )
         toe_z = radius + clearance + foot * np.maximum(np.sin(-pitch), 0.0)
         toe_x = toe_x - stride * u
         y = sign * 0.048 * H
@@ -250,7 +257,7 @@ def make_gait(*, speed: float, stride: float, stature: float) -> Gait:
             [
                 sign * half_hips * np.sin(yaw),
                 sway + sign * half_hips * np.cos(yaw),
-                bob - sign * half_hips * np.sin(roll),
+                bob + sign * half_hips * np.sin(roll),
             ],
             axis=-1,
         )
@@ -302,9 +309,7 @@ def make_gait(*, speed: float, stride: float, stature: float) -> Gait:
     for side, sign in (("left", 1), ("right", -1)):
         forward = -sign * np.cos(wave)  # Against the leg of its side.
         swing = math.radians(20.0) * vigour * forward + math.radians(-3.0)
-        bend = math.radians(18.0) + math.radians(12.0) * vigour * (
-            1.0 + forward
-        )
+        bend = math.radians(14.0) + math.radians(9.0) * vigour * (1.0 + forward)
         p = [
             shoulder_x + sign * half_shoulders * np.sin(twist),
             shoulder_y + sign * half_shoulders * np.cos(twist),
@@ -331,6 +336,111 @@ def make_gait(*, speed: float, stride: float, stature: float) -> Gait:
     )
 
 
+def smooth(values: np.ndarray, width: int) -> np.ndarray:
+    """Returns the moving average over about `width` rows, (T, ...)."""
+    half = min(width // 2, len(values) - 1)
+    if half < 1:
+        return np.array(values, dtype=float)
+    total = np.cumsum(
+        np.concatenate([np.zeros((1, *values.shape[1:])), values]), axis=0
+    )
+    rows = np.arange(len(values))
+    low = np.maximum(rows - half, 0)
+    high = np.minimum(rows + half + 1, len(values))
+    count = (high - low).reshape(-1, *[1] * (values.ndim - 1))
+    return (total[high] - total[low]) / count
+
+
+def calc_slip(landmarks: np.ndarray, side: str, dt: float) -> np.ndarray:
+    """Returns how fast the lowest part of a foot moves over the floor.
+
+    Args:
+        landmarks: Positions in the order of LANDMARKS, m, shape (T, l, 3).
+        side: "left" or "right".
+        dt: Time from row to row, s.
+
+    Returns:
+        Horizontal velocity of heel, toe, or their middle where the foot is
+        flat, m/s, shape (T, 2).
+    """
+    points = landmarks[
+        :, [LANDMARK_INDEX[f"{side}_{name}"] for name in ("heel", "toe")]
+    ]
+    velocity = np.gradient(points[:, :, :2], dt, axis=0)
+    height = points[:, :, 2]
+    share = np.exp(-(height - height.min(axis=1, keepdims=True)) / 0.01)
+    share /= share.sum(axis=1, keepdims=True)
+    slip = np.sum(share[..., None] * velocity, axis=1)
+    return smooth(slip, round(0.05 / dt))
+
+
+def calc_cycle_slip(
+    cycle: np.ndarray, side: str, stride: float, dt: float
+) -> np.ndarray:
+    """Returns calc_slip of a stride that goes on for ever, (N, 2)."""
+    count = len(cycle)
+    # Three strides in a row, so that the middle one has no ends.
+    thrice = np.tile(cycle, (3, 1, 1))
+    ahead = np.arange(3 * count) / count - 1.0
+    thrice[:, :, 0] += stride * ahead[:, None]
+    return calc_slip(thrice, side, dt)[count : 2 * count]
+
+
+def find_longest_run(flags: np.ndarray) -> tuple[int, int]:
+    """Finds the longest run of True in a cycle.
+
+    Args:
+        flags: Of a cycle, shape (N,).
+
+    Returns:
+        First row and length of the run; (0, 0) if all flags are the same.
+    """
+    count = len(flags)
+    if flags.all() or not flags.any():
+        return 0, 0
+    first = np.flatnonzero(flags & ~np.roll(flags, 1))
+    stop = np.flatnonzero(~flags & np.roll(flags, 1))
+    lengths = [int(np.min((stop - k) % count)) for k in first]
+    longest = int(np.argmax(lengths))
+    return int(first[longest]), lengths[longest]
+
+
+def ease(u: np.ndarray) -> np.ndarray:
+    """Returns the smooth step from 0 at u = 0 to 1 at u = 1."""
+    return u**2 * (3.0 - 2.0 * u)
+
+
+def _calc_anchor(gait, side):
+    """Which point of a straight path a foot belongs to, x in G, (N,).
+
+    It lies still on the floor, amid the foot, while the foot does.
+    """
+    count = len(gait.landmarks)
+    dt = gait.period / count
+    middle = 0.5 * (
+        gait.landmarks[:, LANDMARK_INDEX[f"{side}_heel"], 0]
+        + gait.landmarks[:, LANDMARK_INDEX[f"{side}_toe"], 0]
+    )
+    slip = calc_cycle_slip(gait.landmarks, side, gait.stride, dt)
+    down = np.linalg.norm(slip, axis=-1) < DOWN * gait.stride / gait.period
+    start, length = find_longest_run(down)
+    if length == 0:
+        return middle
+    k = np.arange(count)
+    x = np.roll(middle, -start) + gait.stride * k / count
+    place = np.median(x[:length])
+    rest = ease(np.clip((k - length + 1) / (count - length + 1), 0.0, 1.0))
+    end = x[0] + gait.stride
+    x = np.where(
+        k < length,
+        place,
+        x
+        + (1 - rest) * (place - x[length - 1])
+        + rest * (place + gait.stride - end),
+    )
+    return np.roll(x - gait.stride * k / count, start)
+
+
 def _calc_smooth_drop(need, window):
     """A periodic curve that is nowhere below `need` and has no corners."""
     window = max(1, min(window, len(need) // 4))
@@ -349,10 +459,10 @@ def carry_gait(
 ) -> HumanMotion:
     """Carries a stride along a closed path, round and round.
 
-    The trunk rides along the path as a rigid whole. Each foot is mapped by
-    the point of the path abreast of its toe: a foot that lies still in
-    straight walking so lies still on the curve. Then the knees are solved,
-    with the bones' own lengths.
+    The trunk rides along the path as a rigid whole. Each foot belongs to a
+    point of the path that lies still while the foot is down: what lies still
+    in straight walking so lies still on the curve. Then the knees are
+    solved, with the bones' own lengths.
 
     Args:
         gait: The stride.
@@ -406,14 +516,17 @@ def carry_gait(
     for i in range(len(LANDMARKS)):
         p_W[:, i] = lay(origin, direction, *p_G[:, i].T)
     for side in ("left", "right"):
-        toe = p_G[:, LANDMARK_INDEX[f"{side}_toe"]]
-        abreast = s + stretch * toe[:, 0]
+        cycle_anchor = _calc_anchor(gait, side)
+        anchor = (1 - weight[:, 0, 0]) * cycle_anchor[low] + weight[
+            :, 0, 0
+        ] * cycle_anchor[(low + 1) % cycle]
+        abreast = s + stretch * anchor
         foot_direction = path.calc_direction(abreast, 0.02)
         foot_origin = path.calc_position(abreast)
         for name in _FOOT_NAMES:
             i = LANDMARK_INDEX[f"{side}_{name}"]
             x, y, z = p_G[:, i].T
-            p_W[:, i] = lay(foot_origin, foot_direction, x - toe[:, 0], y, z)
+            p_W[:, i] = lay(foot_origin, foot_direction, x - anchor, y, z)
 
     # On a curve the outer foot reaches farther: go down where a leg is short.
     bones = {}

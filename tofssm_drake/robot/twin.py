@@ -25,6 +25,7 @@ from tofssm_drake.robot.products import (
     calc_product_poses,
     calc_product_positions,
 )
+from tofssm_drake.robot.ring_looks import add_ring_looks
 
 _URL = f"package://{models.PACKAGE}/"
 
@@ -36,6 +37,7 @@ def make_cell_plant(
     scene_graph: SceneGraph | None = None,
     time_step: float = 0.0,
     cell: bool = True,
+    meshes: bool = False,
 ) -> MultibodyPlant:
     """Makes the plant of robot, gripper, rings, cell and products.
 
@@ -48,6 +50,9 @@ def make_cell_plant(
         time_step: Of the discrete plant, s; 0 is continuous.
         cell: Whether to load floor, pedestal, tables and box. Without them
             the base is welded to the same place.
+        meshes: Whether what is seen of the robot is Universal Robots' own
+            meshes instead of primitive shapes; needs the SceneGraph and the
+            optional extra `meshes`.
 
     Returns:
         A finalized plant.
@@ -89,6 +94,15 @@ def make_cell_plant(
         # reads what would be sampled (contact results).
         plant.SetUseSampledOutputPorts(False)
     plant.Finalize()
+    if sensors_per_ring and scene_graph is not None:
+        add_ring_looks(plant, scene_graph)
+    if meshes:
+        if scene_graph is None:
+            raise ValueError("meshes: there is no scene_graph to put them in")
+        # Its libraries are optional.
+        from tofssm_drake.robot.meshes import replace_robot_shapes
+
+        replace_robot_shapes(plant, scene_graph)
     return plant
 
 
@@ -108,6 +122,7 @@ def make_twin_plant(
     scene_graph: SceneGraph,
     sensors_per_ring: int = 8,
     products: int = 10,
+    meshes: bool = False,
 ) -> MultibodyPlant:
     """Makes the plant of everything that is part of robot and cell.
 
@@ -117,6 +132,7 @@ def make_twin_plant(
         sensors_per_ring=sensors_per_ring,
         products=products,
         scene_graph=scene_graph,
+        meshes=meshes,
     )
 
 

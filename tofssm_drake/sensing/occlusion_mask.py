@@ -2,6 +2,7 @@
 
 from collections.abc import Collection, Sequence
 import dataclasses as dc
+import functools
 import math
 from typing import Protocol
 
@@ -14,7 +15,7 @@ from pydrake.systems.framework import Context, LeafSystem, State
 
 from tofssm_drake.errors import require
 from tofssm_drake.geometry.ray_caster import RayBundles, RayCaster
-from tofssm_drake.messages import MaskedScan, Reading, RingScan
+from tofssm_drake.messages import RINGS, MaskedScan, Reading, RingScan
 from tofssm_drake.sensing.readings import (
     calc_self_interval,
     classify_readings,
@@ -111,14 +112,13 @@ def make_mask_bundles(
 class Twin(Protocol):
     """The monitor's own idea of the robot, what it holds, and its cell."""
 
-    def calc_frame_poses(
-        self,
-        position: np.ndarray,
-        gripper_closed: float,
-        products_placed: float,
+    def calc(
+        self, q: np.ndarray, gripper_closed: float, products_placed: float
     ) -> np.ndarray:
         """Returns X_WF of the mask's ray caster's frames, (frames, 3, 4)."""
 
+
+_VALID = int(Reading.VALID)
 
 # Columns of the history's table.
 _TIME, _POSITION, _VELOCITY = 0, slice(1, 7), slice(7, 13)
@@ -126,23 +126,19 @@ _GRIPPER_CLOSED, _PRODUCTS_PLACED = 13, 14
 _COLUMNS = 15
 
 
-@dc.dataclass(frozen=True, eq=False)
-class RobotHistory:
-    """What the robot reported in the last few control ticks."""
+def make_robot_history(length: int) -> np.ndarray:
+    """Returns an empty history of what the robot reported.
 
-    table: np.ndarray
-    """Oldest first: time, s, position, rad, (6), velocity, rad/s, (6),
-    gripper closed, products placed; (h, 15). Time is -inf in unused rows."""
+    Args:
+        length: h, of how many control ticks.
 
-    def __deepcopy__(self, memo):
-        return self
-
-
-def make_robot_history(length: int) -> RobotHistory:
-    """Returns an empty history of so many ticks."""
+    Returns:
+        Oldest first: time, s (-inf in unused rows), position, rad, (6),
+        velocity, rad/s, (6), gripper closed, products placed; (h, 15).
+    """
     table = np.zeros((length, _COLUMNS))
     table[:, _TIME] = -np.inf
-    return RobotHistory(table)
+    return table
 
 
 @njit(cache=True)
@@ -181,6 +177,22 @@ def interpolate_reports(table, time):
     return result
 
 
+@njit(cache=True)
+def inspect_scan(sensor_time, status):
+    """Tells whether all sensors have one time, and whether any has no data.
+
+    Args:
+        sensor_time: (n,) s.
+        status: (n,) range status.
+    """
+    one_time = math.isfinite(sensor_time[0])
+    some_held = False
+    for i in range(sensor_time.shape[0]):
+        one_time = one_time and sensor_time[i] == sensor_time[0]
+        some_held = some_held or status[i] == STATUS_NO_NEW_DATA
+    return one_time, some_held
+
+
 def hold_readings(scan: RingScan, before: RingScan) -> RingScan:
     """Puts the sample before in place of "no new data".
 
@@ -192,7 +204,7 @@ def hold_readings(scan: RingScan, before: RingScan) -> RingScan:
         before: what was made of the scan before it.
     """
     held = scan.status == STATUS_NO_NEW_DATA
-    if not held.any() or before.status.shape != scan.status.shape:
+    if before.status.shape != scan.status.shape:
         return scan
     return dc.replace(
         scan,
@@ -202,13 +214,50 @@ def hold_readings(scan: RingScan, before: RingScan) -> RingScan:
     )
 
 
+@njit(cache=True)
+def pick_previous(
+    sensor_time,
+    before_time,
+    before_distance,
+    before_reading,
+    before_previous_distance,
+    before_previous_time,
+):
+    """Returns each sensor's sample before this one.
+
+    Args:
+        sensor_time: of the new samples, s, (n,).
+        before_time: of the samples in the scan before, s, (n,).
+        before_distance: those, m, (n,).
+        before_reading: what they meant, (n,).
+        before_previous_distance: the samples before those, m, (n,).
+        before_previous_time: when they were, s, (n,).
+
+    Returns:
+        Distance, m, (n,), NaN where it was not VALID; its time, s, (n,).
+    """
+    n = sensor_time.shape[0]
+    distance = np.full(n, np.nan)
+    time = np.empty(n)
+    for i in range(n):
+        if sensor_time[i] == before_time[i]:
+            # A sample that is held has still the same one before it.
+            distance[i] = before_previous_distance[i]
+            time[i] = before_previous_time[i]
+        else:
+            if before_reading[i] == _VALID:
+                distance[i] = before_distance[i]
+            time[i] = before_time[i]
+    return distance, time
+
+
 def mask_scan(
     config: OcclusionMaskConfig,
     *,
     scan: RingScan,
     before: MaskedScan,
     time: float,
-    history: RobotHistory,
+    table: np.ndarray,
     caster: RayCaster,
     bundles: RayBundles,
     twin: Twin,
@@ -224,7 +273,7 @@ def mask_scan(
         scan: the new scan of n sensors.
         before: the result for the scan before it.
         time: now, s.
-        history: the robot's reports.
+        table: the robot's reports, see `make_robot_history`.
         caster: of the twin.
         bundles: the rays of the ring's n sensors, by that caster.
         twin: gives the poses that the caster needs.
@@ -239,62 +288,44 @@ def mask_scan(
         raise ValueError(
             f"scan of {n} sensors, but the mask has {bundles.num_bundles}"
         )
-    new_scan = scan
-    scan = hold_readings(scan, before.scan)
-
-    # Mostly one time for all sensors.
-    reports = np.zeros((n, _COLUMNS))
-    self_nearest = np.full(n, np.inf)
-    self_farthest = np.full(n, -np.inf)
-    todo = np.isfinite(scan.sensor_time)
-    while todo.any():
-        sensor_time = scan.sensor_time[np.argmax(todo)]
-        now = scan.sensor_time == sensor_time
-        todo &= ~now
-        report = interpolate_reports(history.table, sensor_time)
-        reports[now] = report
-        if config.enabled:
-            self_distance, _ = caster.cast_bundles(
-                bundles,
-                twin.calc_frame_poses(
-                    report[_POSITION],
-                    report[_GRIPPER_CLOSED],
-                    report[_PRODUCTS_PLACED],
-                ),
-            )
-            nearest, farthest = calc_self_interval(self_distance)
-            self_nearest[now] = nearest[now]
-            self_farthest[now] = farthest[now]
-
-    reading, reckoned = classify_readings(
-        scan.distance,
-        scan.status,
-        time - scan.sensor_time,
+    one_time, some_held = inspect_scan(scan.sensor_time, scan.status)
+    if some_held:
+        scan = hold_readings(scan, before.scan)
+        one_time = False
+    if before.reading.shape != (n,):
+        before = _make_nothing_before(n)
+    self_distance, reports = _cast_on_twin(
+        config, scan.sensor_time, one_time, table, caster, bundles, twin
+    )
+    (
+        reading,
+        reckoned,
+        is_other,
         self_nearest,
         self_farthest,
+        previous_distance,
+        previous_time,
+        position,
+        velocity,
+    ) = _interpret(
+        scan.distance,
+        scan.status,
+        scan.sensor_time,
+        self_distance,
+        reports,
+        before.scan.sensor_time,
+        before.scan.distance,
+        before.reading,
+        before.previous_distance,
+        before.previous_time,
+        time,
         config.tolerance,
         config.min_range,
         config.max_range,
         config.max_age,
     )
-    if (reckoned != scan.distance).any():
+    if is_other:
         scan = dc.replace(scan, distance=reckoned)
-
-    if before.reading.shape == (n,):
-        previous_distance = np.where(
-            before.reading == Reading.VALID, before.scan.distance, np.nan
-        )
-        previous_time = before.scan.sensor_time
-        if scan.sensor_time is not new_scan.sensor_time:
-            # A sample that is held has still the same one before it.
-            held = scan.sensor_time == previous_time
-            previous_distance = np.where(
-                held, before.previous_distance, previous_distance
-            )
-            previous_time = np.where(held, before.previous_time, previous_time)
-    else:
-        previous_distance = np.full(n, np.nan)
-        previous_time = np.full(n, -np.inf)
     return MaskedScan(
         scan=scan,
         reading=reading,
@@ -302,32 +333,164 @@ def mask_scan(
         self_farthest=self_farthest,
         previous_distance=previous_distance,
         previous_time=previous_time,
-        position=np.ascontiguousarray(reports[:, _POSITION]),
-        velocity=np.ascontiguousarray(reports[:, _VELOCITY]),
+        position=position,
+        velocity=velocity,
     )
 
 
+@functools.cache
+def _make_nothing_before(n):
+    """Returns the masked scan before the first of n sensors."""
+    nothing = np.full(n, np.nan)
+    return MaskedScan(
+        scan=RingScan(sensor_time=np.full(n, -np.inf), distance=nothing),
+        reading=np.full(n, Reading.FAULTED, dtype=np.uint8),
+        previous_distance=nothing,
+        previous_time=np.full(n, -np.inf),
+    )
+
+
+def _cast_on_twin(config, sensor_time, one_time, table, caster, bundles, twin):
+    """Casts each sensor's rays at the robot as it was at the sensor's time.
+
+    Returns:
+        Distances along the rays, m, (n, k), and the robot's report for each
+        sensor's time, (n, 15); one row if it is the same for all.
+    """
+    n = len(sensor_time)
+
+    def cast(report):
+        if not config.enabled:
+            return np.full((n, 1), np.inf)
+        return caster.cast_bundles(
+            bundles,
+            twin.calc(
+                report[_POSITION],
+                report[_GRIPPER_CLOSED],
+                report[_PRODUCTS_PLACED],
+            ),
+        )[0]
+
+    if one_time:
+        report = interpolate_reports(table, sensor_time[0])
+        return cast(report), report[None]
+
+    reports = np.zeros((n, _COLUMNS))
+    self_distance = np.full((n, len(bundles.fan_S)), np.inf)
+    todo = np.isfinite(sensor_time)
+    while todo.any():
+        time = sensor_time[np.argmax(todo)]
+        now = sensor_time == time
+        todo &= ~now
+        report = interpolate_reports(table, time)
+        reports[now] = report
+        self_distance[now] = cast(report)[now]
+    return self_distance, reports
+
+
+@njit(cache=True)
+def _interpret(
+    distance,
+    status,
+    sensor_time,
+    self_distance,
+    reports,
+    before_time,
+    before_distance,
+    before_reading,
+    before_previous_distance,
+    before_previous_time,
+    time,
+    tolerance,
+    min_range,
+    max_range,
+    max_age,
+):
+    """Does all the arithmetic of a scan at once: calls cost more than it."""
+    n = distance.shape[0]
+    self_nearest, self_farthest = calc_self_interval(self_distance)
+    reading, reckoned = classify_readings(
+        distance,
+        status,
+        time - sensor_time,
+        self_nearest,
+        self_farthest,
+        tolerance,
+        min_range,
+        max_range,
+        max_age,
+    )
+    is_other = False
+    position = np.empty((n, 6))
+    velocity = np.empty((n, 6))
+    last_report = reports.shape[0] - 1
+    for i in range(n):
+        if reckoned[i] != distance[i]:
+            is_other = True
+        report = reports[min(i, last_report)]
+        for j in range(6):
+            position[i, j] = report[1 + j]
+            velocity[i, j] = report[7 + j]
+    previous_distance, previous_time = pick_previous(
+        sensor_time,
+        before_time,
+        before_distance,
+        before_reading,
+        before_previous_distance,
+        before_previous_time,
+    )
+    return (
+        reading,
+        reckoned,
+        is_other,
+        self_nearest,
+        self_farthest,
+        previous_distance,
+        previous_time,
+        position,
+        velocity,
+    )
+
+
+@dc.dataclass(frozen=True, eq=False)
+class _MaskState:
+    """All that the system remembers, in one piece: cheap to copy."""
+
+    table: np.ndarray
+    """The robot's reports, see `make_robot_history`."""
+    masked_scans: tuple[MaskedScan, ...]
+    """The last of each ring."""
+
+    def __deepcopy__(self, memo):
+        return self
+
+
 class OcclusionMask(LeafSystem):
-    """Tells the robot and its cell from everything else in a ring's scans.
+    """Tells the robot and its cell from everything else in the rings' scans.
 
     .. pydrake_system::
 
         name: OcclusionMask
         input_ports:
-        - scan
+        - scan_base
+        - scan_elbow
+        - scan_tool
         - position_measured
         - velocity_measured
         - gripper_closed
         - products_placed
         output_ports:
-        - masked_scan
+        - masked_scan_base
+        - masked_scan_elbow
+        - masked_scan_tool
 
-    Once a control tick it remembers what the robot reports; when the scan is
-    new, it tells what each reading means (`mask_scan`). Nothing of the
-    simulated world is used: the rays are cast on a twin that is posed from
-    the measured joints.
+    Once a control tick it remembers what the robot reports; where a ring's
+    scan is new, it tells what each reading means (`mask_scan`). Nothing of
+    the simulated world is used: the rays are cast on a twin that is posed
+    from the measured joints. All rings share one system, since they share
+    the robot's reports and an event costs more than a look at a scan.
 
-    Before the first scan the port holds an empty one (sequence -1).
+    Before a ring's first scan its port holds an empty one (sequence -1).
     """
 
     def __init__(
@@ -335,27 +498,34 @@ class OcclusionMask(LeafSystem):
         *,
         config: OcclusionMaskConfig,
         caster: RayCaster,
-        bundles: RayBundles,
+        bundles: Sequence[RayBundles],
         twin: Twin,
+        name: tuple[str, ...] = RINGS,
     ):
         """Constructs the system.
 
         Args:
             config: settings.
             caster: of the twin's SceneGraph.
-            bundles: the ring's rays by that caster, see `make_mask_bundles`.
+            bundles: each ring's rays by that caster, see `make_mask_bundles`.
             twin: gives the poses of `caster.frame_ids`.
+            name: the rings, in the order of `bundles`.
 
         Raises:
             UserError: if a setting is out of range.
         """
         super().__init__()
         config.check("mask")
+        if len(bundles) != len(name):
+            raise ValueError(f"bundles: {len(bundles)} for {len(name)} rings")
         self._config = config
         self._caster = caster
-        self._bundles = bundles
+        self._bundles = tuple(bundles)
         self._twin = twin
-        self._scan = self.DeclareAbstractInputPort("scan", Value(RingScan()))
+        self._scans = [
+            self.DeclareAbstractInputPort(f"scan_{ring}", Value(RingScan()))
+            for ring in name
+        ]
         self._position = self.DeclareVectorInputPort("position_measured", 6)
         self._velocity = self.DeclareVectorInputPort("velocity_measured", 6)
         self._gripper_closed = self.DeclareVectorInputPort("gripper_closed", 1)
@@ -364,50 +534,60 @@ class OcclusionMask(LeafSystem):
         )
         # A sample that is not stale lies within the history.
         length = math.ceil(config.max_age / config.period) + 2
-        self._history = self.DeclareAbstractState(
-            Value(make_robot_history(length))
+        self._state = self.DeclareAbstractState(
+            Value(
+                _MaskState(
+                    table=make_robot_history(length),
+                    masked_scans=(MaskedScan(),) * len(name),
+                )
+            )
         )
-        self._masked_scan = self.DeclareAbstractState(Value(MaskedScan()))
-        self.DeclareStateOutputPort("masked_scan", self._masked_scan)
+        for index, ring in enumerate(name):
+            self.DeclareAbstractOutputPort(
+                f"masked_scan_{ring}",
+                Value(MaskedScan()).Clone,
+                functools.partial(self._calc_masked_scan, index=index),
+                prerequisites_of_calc={self.abstract_state_ticket(self._state)},
+            )
         self.DeclarePeriodicUnrestrictedUpdateEvent(
             config.period, 0.0, self._update
         )
 
-    @property
-    def num_sensors(self) -> int:
-        """Sensors of the ring, n."""
-        return self._bundles.num_bundles
+    def _calc_masked_scan(self, context: Context, output, index: int):
+        state = context.get_abstract_state(self._state).get_value()
+        output.set_value(state.masked_scans[index])
 
     def _update(self, context: Context, state: State):
         time = context.get_time()
-        abstract = state.get_mutable_abstract_state()
-        history_value = abstract.get_mutable_value(self._history)
-        history = RobotHistory(
-            push_report(
-                history_value.get_value().table,
-                time,
-                self._position.Eval(context),
-                self._velocity.Eval(context),
-                self._gripper_closed.Eval(context)[0],
-                self._products_placed.Eval(context)[0],
-            )
+        value = state.get_mutable_abstract_state(self._state)
+        before = value.get_value()
+        table = push_report(
+            before.table,
+            time,
+            self._position.Eval(context),
+            self._velocity.Eval(context),
+            self._gripper_closed.Eval(context)[0],
+            self._products_placed.Eval(context)[0],
         )
-        history_value.set_value(history)
-
-        scan = self._scan.Eval(context)
-        masked_value = abstract.get_mutable_value(self._masked_scan)
-        before = masked_value.get_value()
-        if scan.sequence == before.scan.sequence:
-            return
-        masked_value.set_value(
-            mask_scan(
+        masked_scans = before.masked_scans
+        for i, port in enumerate(self._scans):
+            scan = port.Eval(context)
+            masked_scan = masked_scans[i]
+            if scan.sequence == masked_scan.scan.sequence:
+                continue
+            masked_scan = mask_scan(
                 self._config,
                 scan=scan,
-                before=before,
+                before=masked_scan,
                 time=time,
-                history=history,
+                table=table,
                 caster=self._caster,
-                bundles=self._bundles,
+                bundles=self._bundles[i],
                 twin=self._twin,
             )
-        )
+            masked_scans = (
+                *masked_scans[:i],
+                masked_scan,
+                *masked_scans[i + 1 :],
+            )
+        value.set_value(_MaskState(table, masked_scans))

@@ -320,7 +320,7 @@ def calc_link_row(
 def make_separation(rows: np.ndarray, name: tuple[str, ...]) -> Separation:
     """Makes the message from the links' rows, (m, 15)."""
     # By columns, so that each field is contiguous.
-    columns = np.ascontiguousarray(rows.T)
+    columns = rows.T.copy()
     whole = columns[_REALS:].astype(int)
     return Separation(
         name=name,
@@ -352,6 +352,18 @@ def _make_empty_row() -> np.ndarray:
     row[_HEALTH] = empty.health[0]
     row[_COUNT:] = empty.count[0]
     return row
+
+
+@dc.dataclass(frozen=True, eq=False, kw_only=True)
+class _Result:
+    """A separation and what it was made of."""
+
+    masked_scans: tuple[MaskedScan, ...]
+    rows: np.ndarray
+    separation: Separation
+
+    def __deepcopy__(self, memo):
+        return self
 
 
 class TofSeparation(LeafSystem):
@@ -393,49 +405,77 @@ class TofSeparation(LeafSystem):
         """
         super().__init__()
         config.check("separation")
+        self._config = config
+        self._kinematics = kinematics
+        self._geometries = tuple(geometries)
         self._name = tuple(name)
-        self._empty_row = _make_empty_row()
-        self._row_cache = []
-        for link, (ring, geometry) in enumerate(
-            zip(name, geometries, strict=True)
-        ):
-            port = self.DeclareAbstractInputPort(
+        if len(self._geometries) != len(self._name):
+            raise ValueError(
+                f"geometries: {len(self._geometries)} for "
+                f"{len(self._name)} rings"
+            )
+        self._masked_scans = [
+            self.DeclareAbstractInputPort(
                 f"masked_scan_{ring}", Value(MaskedScan())
             )
-            # One entry for each ring: a scan of one leaves the others be.
-            self._row_cache.append(
-                self.DeclareCacheEntry(
-                    f"row_{ring}",
-                    ValueProducer(
-                        allocate=Value(self._empty_row).Clone,
-                        calc=self._make_calc_row(
-                            config, port, geometry, kinematics, link
-                        ),
-                    ),
-                    prerequisites_of_calc={port.ticket()},
-                )
-            )
+            for ring in self._name
+        ]
+        prerequisites = {port.ticket() for port in self._masked_scans}
+        m = len(self._name)
+        self._result = self.DeclareCacheEntry(
+            "result",
+            ValueProducer(
+                allocate=Value(
+                    _Result(
+                        masked_scans=(MaskedScan(),) * m,
+                        rows=np.tile(_make_empty_row(), (m, 1)),
+                        separation=make_empty_separation(self._name),
+                    )
+                ).Clone,
+                calc=self._calc_result,
+            ),
+            prerequisites_of_calc=prerequisites,
+        )
         self.DeclareAbstractOutputPort(
             "separation",
             Value(make_empty_separation(self._name)).Clone,
             self._calc_separation,
-            prerequisites_of_calc={e.ticket() for e in self._row_cache},
+            prerequisites_of_calc=prerequisites,
         )
 
-    def _make_calc_row(self, config, port, geometry, kinematics, link):
-        def calc(context, cached):
-            masked_scan = port.Eval(context)
-            if masked_scan.scan.sequence < 0:
-                cached.set_value(self._empty_row)
-            else:
-                cached.set_value(
-                    calc_link_row(
-                        config, masked_scan, geometry, kinematics, link
-                    )
-                )
+    def _calc_result(self, context: Context, cached):
+        """Calculates the rows of the links whose ring has a new scan.
 
-        return calc
+        A mask's state, and with it this entry, counts as changed at every
+        control tick. What the entry held before tells which scans are the
+        same; the value still depends on the inputs only.
+        """
+        before = cached.get_value()
+        masked_scans = tuple(port.Eval(context) for port in self._masked_scans)
+        rows = None
+        for link, masked_scan in enumerate(masked_scans):
+            if masked_scan is before.masked_scans[link]:
+                continue
+            if rows is None:
+                rows = before.rows.copy()
+            if masked_scan.scan.sequence < 0:
+                rows[link] = _make_empty_row()
+            else:
+                rows[link] = calc_link_row(
+                    self._config,
+                    masked_scan,
+                    self._geometries[link],
+                    self._kinematics,
+                    link,
+                )
+        if rows is not None:
+            cached.set_value(
+                _Result(
+                    masked_scans=masked_scans,
+                    rows=rows,
+                    separation=make_separation(rows, self._name),
+                )
+            )
 
     def _calc_separation(self, context: Context, output):
-        rows = np.array([entry.Eval(context) for entry in self._row_cache])
-        output.set_value(make_separation(rows, self._name))
+        output.set_value(self._result.Eval(context).separation)

@@ -104,6 +104,19 @@ def make_ring_bundles(
     )
 
 
+@dc.dataclass(frozen=True, eq=False)
+class _RingState:
+    """All that the system remembers, in one piece: cheap to copy."""
+
+    scan: RingScan = dc.field(default_factory=RingScan)
+    """The last one delivered."""
+    queue: tuple[RingScan, ...] = ()
+    """Those under way, oldest first."""
+
+    def __deepcopy__(self, memo):
+        return self
+
+
 class TofRing(LeafSystem):
     """Simulates a ring of n VL53L1X sensors.
 
@@ -112,6 +125,7 @@ class TofRing(LeafSystem):
         name: TofRing
         input_ports:
         - geometry_query
+        - frame_poses
         - noise
         output_ports:
         - scan
@@ -121,6 +135,11 @@ class TofRing(LeafSystem):
     which is the scan's `sensor_time`. The scan appears on the port a latency
     later (half the timing budget and the readout). The latency may exceed the
     period: scans under way wait in a queue.
+
+    Where things are comes from one of two ports. `geometry_query` serves any
+    Diagram with a SceneGraph; `frame_poses`, X_WF of `caster.frame_ids`,
+    (f, 3, 4), is used instead where it is connected, and is much faster for
+    who has all poses at hand (see ScenePoses).
 
     The port `scan` holds an empty scan (sequence -1) before the first one.
 
@@ -177,13 +196,19 @@ class TofRing(LeafSystem):
         self._geometry_query = self.DeclareAbstractInputPort(
             "geometry_query", Value(QueryObject())
         )
+        self._frame_poses = self.DeclareAbstractInputPort(
+            "frame_poses", Value(np.zeros((len(caster.frame_ids), 3, 4)))
+        )
         self._noise = self.DeclareVectorInputPort(
             "noise", n * NOISE_DRAWS, RandomDistribution.kGaussian
         )
-        self._scan = self.DeclareAbstractState(Value(RingScan()))
-        # Scans under way, oldest first: a tuple, since a state is copied.
-        self._queue = self.DeclareAbstractState(Value(()))
-        self.DeclareStateOutputPort("scan", self._scan)
+        self._state = self.DeclareAbstractState(Value(_RingState()))
+        self.DeclareAbstractOutputPort(
+            "scan",
+            Value(RingScan()).Clone,
+            self._calc_scan,
+            prerequisites_of_calc={self.abstract_state_ticket(self._state)},
+        )
         # Declared first, so that a scan without latency is delivered at once.
         self.DeclarePeriodicUnrestrictedUpdateEvent(
             config.period, phase, self._capture
@@ -197,35 +222,39 @@ class TofRing(LeafSystem):
         """Sensors of the ring, n."""
         return self._bundles.num_bundles
 
+    def _calc_scan(self, context: Context, output):
+        state = context.get_abstract_state(self._state).get_value()
+        output.set_value(state.scan)
+
     def _capture(self, context: Context, state: State):
         """Takes a sample and queues it."""
         # `state` and not `context`: a delivery at the same time has its say.
-        abstract = state.get_mutable_abstract_state()
-        queue = abstract.get_value(self._queue).get_value()
-        last = (
-            queue[-1] if queue else abstract.get_value(self._scan).get_value()
-        )
+        value = state.get_mutable_abstract_state(self._state)
+        before = value.get_value()
+        last = before.queue[-1] if before.queue else before.scan
         scan = self._measure(context, last.sequence + 1)
         # Faults to inject (a silent ring, a frozen or stuck value, two
         # sensors at one address, a dirty cover) would change `scan` here.
-        abstract.get_mutable_value(self._queue).set_value((*queue, scan))
+        value.set_value(_RingState(before.scan, (*before.queue, scan)))
 
     def _deliver(self, context: Context, state: State):
         """Moves the oldest scan under way to the port, if it is due."""
-        abstract = state.get_mutable_abstract_state()
-        queue = abstract.get_value(self._queue).get_value()
+        value = state.get_mutable_abstract_state(self._state)
+        queue = value.get_value().queue
         # The tolerance covers the rounding of the events' times.
         if not queue or queue[0].time > context.get_time() + 1e-6:
             return EventStatus.DidNothing()
-        abstract.get_mutable_value(self._scan).set_value(queue[0])
-        abstract.get_mutable_value(self._queue).set_value(queue[1:])
+        value.set_value(_RingState(queue[0], queue[1:]))
         return EventStatus.Succeeded()
 
     def _measure(self, context: Context, sequence: int) -> RingScan:
-        query_object = self._geometry_query.Eval(context)
-        ray_distance, _ = self._caster.cast_bundles(
-            self._bundles, self._caster.poses_from_query_object(query_object)
-        )
+        if self._frame_poses.HasValue(context):
+            X_WF = self._frame_poses.Eval(context)
+        else:
+            X_WF = self._caster.poses_from_query_object(
+                self._geometry_query.Eval(context)
+            )
+        ray_distance, _ = self._caster.cast_bundles(self._bundles, X_WF)
         noise = self._no_noise
         if noise is None:
             noise = self._noise.Eval(context).reshape(-1, NOISE_DRAWS)

@@ -43,11 +43,8 @@ class SsmConfig:
     # Greatest speed of the robot, m/s.
     V_lmax: float = 1.7
 
-    # Greatest speed of a person, m/s: what a person who has just been
-    # detected is taken to walk with.
-    V_hmax: float = 1.6
-
-    # Greatest relative directed speed, m/s (k_max of "vo").
+    # Greatest relative directed speed, m/s (k_max of "vo"): V_lmax and a
+    # person who walks with 1.6 m/s.
     k_omax: float = 3.3
 
     # Greatest directed speed of the robot alone, m/s (k_max of "vr"). The
@@ -105,7 +102,6 @@ class SsmConfig:
             "T_stop",
             "T_red",
             "V_lmax",
-            "V_hmax",
             "k_omax",
             "k_lmax",
             "C_dC",

@@ -18,6 +18,8 @@ class DistanceConstants(NamedTuple):
 
     fixed: bool
     """True for "sm": the distances are d_C_sm and d_R_sm."""
+    use_k_o: bool
+    """True for "vo": k is the relative directed speed, else the link's."""
     literal: bool
     k_max: float
     T_stop: float
@@ -36,6 +38,7 @@ def make_distance_constants(config: SsmConfig) -> DistanceConstants:
     """Returns what compiled code needs of the settings."""
     return DistanceConstants(
         fixed=config.configuration == "sm",
+        use_k_o=config.configuration == "vo",
         literal=bool(config.literal),
         k_max=float(config.k_max()),
         T_stop=float(config.T_stop),

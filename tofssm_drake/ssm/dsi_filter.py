@@ -29,6 +29,9 @@ MIN_DISTANCE = 1e-3
 # As compile-time constants for the kernel.
 _HEALTHY = int(RingHealth.HEALTHY)
 _FAULTED = int(RingHealth.FAULTED)
+_STOP = float(RobotState.STOP)
+_REDUCED = float(RobotState.REDUCED)
+_NORMAL = float(RobotState.NORMAL)
 
 
 @njit(cache=True)
@@ -100,6 +103,18 @@ def _calc_index(c, state, sequence, distance, link_speed, k, health, index):
         index[6, i] = health[i]
 
 
+@njit(cache=True)
+def _calc_next_state(state, sequence, dsi, robot_state, result):
+    m = len(sequence)
+    for i in range(m):
+        is_new = sequence[i] != state[i]
+        result[i] = sequence[i]
+        result[m + i] = dsi[i]
+        result[2 * m + i] = state[3 * m] if is_new else state[2 * m + i]
+    is_known = robot_state == _REDUCED or robot_state == _NORMAL
+    result[3 * m] = robot_state if is_known else _STOP
+
+
 def make_initial_filter_state(m: int) -> np.ndarray:
     """Returns the filter's state before any sample, shape (3 m + 1,).
 
@@ -111,8 +126,7 @@ def make_initial_filter_state(m: int) -> np.ndarray:
         [
             np.full(m, -1.0),
             np.full(m, np.inf),
-            np.full(m, float(RobotState.STOP)),
-            [float(RobotState.STOP)],
+            np.full(m + 1, _STOP),
         ]
     )
 
@@ -122,7 +136,6 @@ def calc_safety_index(
     constants: DistanceConstants,
     state: np.ndarray,
     separation: Separation,
-    use_k_o: bool,
 ) -> SafetyIndex:
     """Returns the filtered index and the thresholds of every link.
 
@@ -135,8 +148,6 @@ def calc_safety_index(
         constants: Settings.
         state: As make_initial_filter_state() tells, shape (3 m + 1,).
         separation: What the sensing found.
-        use_k_o: Whether the relative directed speed counts ("vo"), or that
-            of the link alone.
 
     Returns:
         The index. `dsi_raw` is NaN where the link has no reading. A distance
@@ -149,7 +160,7 @@ def calc_safety_index(
         separation.sequence,
         separation.distance,
         separation.link_speed,
-        separation.k_o if use_k_o else separation.k_l,
+        separation.k_o if constants.use_k_o else separation.k_l,
         separation.health,
         index,
     )
@@ -178,15 +189,8 @@ def calc_next_filter_state(
         robot_state: psi that followed from the index; not a number of
             `RobotState`: STOP.
     """
-    m = len(index.sequence)
-    result = np.empty(3 * m + 1)
-    result[:m] = index.sequence
-    result[m : 2 * m] = index.dsi
-    result[2 * m : 3 * m] = np.where(
-        index.sequence != state[:m], state[3 * m], state[2 * m : 3 * m]
-    )
-    is_known = robot_state in (RobotState.REDUCED, RobotState.NORMAL)
-    result[3 * m] = robot_state if is_known else RobotState.STOP
+    result = np.empty(len(state))
+    _calc_next_state(state, index.sequence, index.dsi, robot_state, result)
     return result
 
 
@@ -223,7 +227,6 @@ class DsiFilter(LeafSystem):
         config = SsmConfig() if config is None else config
         config.check("ssm")
         self._constants = make_distance_constants(config)
-        self._use_k_o = config.configuration == "vo"
         self._name = tuple(name)
 
         self._separation = self.DeclareAbstractInputPort(
@@ -258,7 +261,6 @@ class DsiFilter(LeafSystem):
                 constants=self._constants,
                 state=context.get_discrete_state(self._state).value(),
                 separation=separation,
-                use_k_o=self._use_k_o,
             )
         )
 

@@ -48,9 +48,12 @@ def calc_next_speed_fraction(
     """
     if rho == target and rate == 0.0:
         return rho, rate
-    if rate > 0.0 and not config.literal:
-        room = max(target - rho, 0.0)
-        rate = min(rate, math.sqrt(2.0 * config.rho_max_acceleration * room))
+    highest = 1.0
+    if not config.literal:
+        highest = max(rho, target)
+        if rate > 0.0:
+            room = 2.0 * config.rho_max_acceleration * (highest - rho)
+            rate = min(rate, math.sqrt(room))
     # New objects, because Ruckig's remember the tick before.
     otg, trajectory, otg_input = Ruckig(1), Trajectory(1), InputParameter(1)
     otg_input.control_interface = ControlInterface.Velocity
@@ -70,7 +73,7 @@ def calc_next_speed_fraction(
         return 0.0, 0.0
     if abs(next_rho - target) < _TOLERANCE and abs(next_rate) < _TOLERANCE:
         return target, 0.0
-    return min(max(next_rho, 0.0), 1.0), next_rate
+    return min(max(next_rho, 0.0), highest), next_rate
 
 
 class SpeedFractionTrajectory(LeafSystem):

@@ -206,7 +206,7 @@ class TriSsmState(LeafSystem):
         )
 
     def _calc_robot_state(self, context, output):
-        output[0] = self._calc(calc_ring_states, context).min()
+        output[0] = min(self._calc(calc_ring_states, context).tolist())
 
     def _calc_ring_states(self, context, output):
         output.SetFromVector(self._calc(calc_ring_states, context))
