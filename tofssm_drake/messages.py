@@ -51,10 +51,9 @@ class _Frozen:
     """Makes array fields read-only and a copy the message itself."""
 
     def __post_init__(self):
-        for field in dc.fields(self):
-            value = getattr(self, field.name)
+        for value in vars(self).values():
             if isinstance(value, np.ndarray):
-                value.flags.writeable = False
+                value.setflags(write=False)
 
     def __deepcopy__(self, memo):
         return self

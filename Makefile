@@ -1,0 +1,49 @@
+# Two commands on a fresh machine with python3 >= 3.11, make and git:
+#   make run     runs the default scenario and says where the report is
+#   make test    checks format and lint, then runs the tests
+# and one more:
+#   make bench   measures speed
+
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+OUT ?= out/default
+PIP_INSTALL := $(BIN)/python -m pip install --quiet \
+	--disable-pip-version-check --constraint constraints.txt
+
+.PHONY: run test bench format clean
+
+run: $(VENV)/.installed
+	$(BIN)/tofssm simulate --out $(OUT)
+
+test: $(VENV)/.installed-test
+	$(BIN)/ruff format --check .
+	$(BIN)/ruff check .
+	$(BIN)/python -m pytest
+
+bench: $(VENV)/.installed-test
+	$(BIN)/python -m pytest benchmarks --benchmark-columns=min,median,max,rounds
+
+format: $(VENV)/.installed-test
+	$(BIN)/ruff format .
+	$(BIN)/ruff check --fix .
+
+clean:
+	rm -rf $(VENV) build out *.egg-info
+
+$(BIN)/python:
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { \
+	  echo "$(PYTHON) is older than 3.11: give another one," \
+	    "e.g. make PYTHON=python3.12 $(MAKECMDGOALS)"; exit 2; }
+	@$(PYTHON) -c 'import ensurepip, venv' 2>/dev/null || { \
+	  echo "This python3 can not make a virtual environment:" \
+	    "apt-get install python3-venv, then make $(MAKECMDGOALS)"; exit 2; }
+	$(PYTHON) -m venv $(VENV)
+
+$(VENV)/.installed: pyproject.toml constraints.txt | $(BIN)/python
+	$(PIP_INSTALL) --editable .
+	@touch $@
+
+$(VENV)/.installed-test: pyproject.toml constraints.txt | $(BIN)/python
+	$(PIP_INSTALL) --editable '.[meshes,test]'
+	@touch $@ $(VENV)/.installed

@@ -1,0 +1,157 @@
+"""The monitor: from scans and the robot's own report to a speed fraction."""
+
+from pydrake.geometry import SceneGraph
+from pydrake.systems.framework import Diagram, DiagramBuilder
+
+from tofssm_drake.diagrams.scenario import Scenario
+from tofssm_drake.geometry.ray_caster import RayCaster
+from tofssm_drake.messages import RINGS
+from tofssm_drake.robot.kinematics import RingKinematics
+from tofssm_drake.robot.products import ProductLayout
+from tofssm_drake.robot.twin import TwinPoses, make_twin_plant
+from tofssm_drake.sensing.occlusion_mask import (
+    OcclusionMask,
+    make_mask_bundles,
+)
+from tofssm_drake.sensing.ring_mount import find_ring_mount
+from tofssm_drake.sensing.separation import TofSeparation, make_ring_geometry
+from tofssm_drake.ssm.dsi_filter import DsiFilter
+from tofssm_drake.ssm.speed_fraction import SpeedFractionTrajectory
+from tofssm_drake.ssm.tri_ssm import TriSsmState
+
+_ROBOT_REPORT = (
+    "position_measured",
+    "velocity_measured",
+    "gripper_closed",
+    "products_placed",
+)
+
+
+def make_monitor(scenario: Scenario) -> Diagram:
+    """Makes the monitor, the same for a simulated and for a real cell.
+
+    .. pydrake_system::
+
+        name: monitor
+        input_ports:
+        - scan_base
+        - scan_elbow
+        - scan_tool
+        - position_measured
+        - velocity_measured
+        - gripper_closed
+        - products_placed
+        output_ports:
+        - speed_fraction
+        - robot_state
+        - ring_states
+        - reason
+        - separation
+        - dsi
+        - masked_scan_base
+        - masked_scan_elbow
+        - masked_scan_tool
+
+    It sees nothing but what real hardware gives: the rings' scans, the joints,
+    a digital output (gripper) and a register (products placed). Of the cell
+    it has a model of its own, the twin.
+
+    Args:
+        scenario: Checked settings.
+
+    Returns:
+        The Diagram.
+    """
+    builder = DiagramBuilder()
+    # The twin's SceneGraph only tells the shapes once: it is not in the
+    # Diagram, and poses are computed by TwinPoses.
+    scene_graph = SceneGraph()
+    plant = make_twin_plant(
+        scene_graph=scene_graph,
+        sensors_per_ring=scenario.sensors_per_ring,
+        products=scenario.program.products,
+    )
+    kinematics = RingKinematics.from_plant(plant)
+    mask, geometries = _add_mask(
+        builder, scenario, scene_graph, plant, kinematics
+    )
+    separation = builder.AddNamedSystem(
+        "separation",
+        TofSeparation(
+            config=scenario.separation,
+            kinematics=kinematics,
+            geometries=geometries,
+        ),
+    )
+    for name in RINGS:
+        builder.Connect(
+            mask.GetOutputPort(f"masked_scan_{name}"),
+            separation.GetInputPort(f"masked_scan_{name}"),
+        )
+    dsi_filter = builder.AddNamedSystem(
+        "dsi_filter", DsiFilter(config=scenario.ssm)
+    )
+    state = builder.AddNamedSystem("tri_ssm", TriSsmState(config=scenario.ssm))
+    trajectory = builder.AddNamedSystem(
+        "speed_fraction", SpeedFractionTrajectory(config=scenario.ssm)
+    )
+    builder.Connect(
+        separation.GetOutputPort("separation"),
+        dsi_filter.GetInputPort("separation"),
+    )
+    builder.Connect(dsi_filter.GetOutputPort("dsi"), state.GetInputPort("dsi"))
+    for system in (dsi_filter, trajectory):
+        builder.Connect(
+            state.GetOutputPort("robot_state"),
+            system.GetInputPort("robot_state"),
+        )
+
+    for system, names in (
+        (trajectory, ("speed_fraction",)),
+        (state, ("robot_state", "ring_states", "reason")),
+        (separation, ("separation",)),
+        (dsi_filter, ("dsi",)),
+    ):
+        for name in names:
+            builder.ExportOutput(system.GetOutputPort(name), name)
+    for name in RINGS:
+        port = f"masked_scan_{name}"
+        builder.ExportOutput(mask.GetOutputPort(port), port)
+    diagram = builder.Build()
+    diagram.set_name("monitor")
+    return diagram
+
+
+def _add_mask(builder, scenario, scene_graph, plant, kinematics):
+    """Adds the mask with its inputs; returns it and the rings."""
+    inspector = scene_graph.model_inspector()
+    caster = RayCaster(inspector)
+    mounts = [find_ring_mount(plant, inspector, name) for name in RINGS]
+    mask = builder.AddNamedSystem(
+        "mask",
+        OcclusionMask(
+            config=scenario.mask,
+            caster=caster,
+            bundles=[
+                make_mask_bundles(
+                    config=scenario.mask,
+                    ring_config=scenario.rings,
+                    caster=caster,
+                    frame_id=mount.frame_id,
+                    X_FS=mount.X_FS,
+                    excluded=mount.geometry_ids,
+                )
+                for mount in mounts
+            ],
+            # After the bundles, which may add frames to the caster's.
+            twin=TwinPoses.from_plant(
+                plant,
+                layout=ProductLayout.from_config(scenario.program),
+                frame_ids=caster.frame_ids,
+                kinematics=kinematics,
+            ),
+        ),
+    )
+    for port in (*(f"scan_{name}" for name in RINGS), *_ROBOT_REPORT):
+        builder.ExportInput(mask.GetInputPort(port), port)
+    return mask, [make_ring_geometry(mount.X_LS) for mount in mounts]

@@ -1,0 +1,118 @@
+"""What a reader of the record has to know of the run besides the numbers."""
+
+import importlib.metadata
+import math
+import platform
+
+import numpy as np
+from pydrake.geometry import Box, Role
+import yaml
+
+from tofssm_drake.diagrams.scenario import Scenario, dump_scenario
+from tofssm_drake.diagrams.station import Station
+from tofssm_drake.evaluation.samples import make_ring_metadata
+from tofssm_drake.human.skeleton import CAPSULES
+from tofssm_drake.messages import RINGS
+from tofssm_drake.sensing.ring_mount import find_ring_mount
+from tofssm_drake.sensing.vl53l1x import calc_cast_range
+
+_PACKAGES = ("tofssm-drake", "drake", "numba", "numpy", "ruckig")
+
+_FURNITURE = {
+    "pick_table": "pick table",
+    "place_table": "place table",
+    "box": "box",
+    "pedestal": "",
+}
+
+
+def make_run_metadata(
+    scenario: Scenario, station: Station, robot_bodies: list[str]
+) -> dict:
+    """Returns plain values to store with the samples.
+
+    Args:
+        scenario: The scenario as run.
+        station: Its station.
+        robot_bodies: Names that the column `robot_body` counts.
+    """
+    return {
+        "scenario": yaml.safe_dump(dump_scenario(scenario), sort_keys=False),
+        "ssm": scenario.ssm.configuration,
+        "seed": scenario.random_seed,
+        "human": type(scenario.human).__name__,
+        "products": scenario.program.products,
+        "sensors_per_ring": scenario.sensors_per_ring,
+        "robot_bodies": robot_bodies,
+        "person_parts": [capsule.name for capsule in CAPSULES],
+        "ring_geometry": _describe_rings(scenario, station),
+        "plan": _describe_plan(station),
+        "versions": get_versions(),
+    }
+
+
+def get_versions() -> dict[str, str]:
+    """Returns the versions that a result depends on."""
+    versions = {name: importlib.metadata.version(name) for name in _PACKAGES}
+    return versions | {"python": platform.python_version()}
+
+
+def _describe_rings(scenario, station):
+    inspector = station.scene_graph.model_inspector()
+    rings = {}
+    for name in RINGS:
+        mount = find_ring_mount(station.plant, inspector, name)
+        p_LS = np.array([X.translation() for X in mount.X_LS])
+        rings[name] = make_ring_metadata(
+            azimuth=np.arctan2(p_LS[:, 1], p_LS[:, 0]),
+            fov=math.radians(scenario.rings.fov_deg),
+            radius=float(np.linalg.norm(p_LS[0])),
+            max_range=calc_cast_range(scenario.rings.sensor),
+        )
+    return rings
+
+
+def _describe_plan(station):
+    """Returns the furniture's outlines from above."""
+    plant = station.plant
+    inspector = station.scene_graph.model_inspector()
+    context = plant.CreateDefaultContext()
+    outlines = []
+    for model, label in _FURNITURE.items():
+        corners = []
+        instance = plant.GetModelInstanceByName(model)
+        for index in plant.GetBodyIndices(instance):
+            X_WB = plant.EvalBodyPoseInWorld(context, plant.get_body(index))
+            frame_id = plant.GetBodyFrameIdOrThrow(index)
+            for geometry_id in inspector.GetGeometries(
+                frame_id, Role.kPerception
+            ):
+                shape = inspector.GetShape(geometry_id)
+                if isinstance(shape, Box):
+                    X_WG = X_WB @ inspector.GetPoseInFrame(geometry_id)
+                    half = 0.5 * np.array(shape.size())
+                    corners += [
+                        X_WG @ (half * [x, y, z])
+                        for x in (-1, 1)
+                        for y in (-1, 1)
+                        for z in (-1, 1)
+                    ]
+        if corners:
+            low = np.min(corners, axis=0)
+            high = np.max(corners, axis=0)
+            outlines.append(
+                {
+                    "label": label,
+                    "outline": [
+                        [low[0], low[1]],
+                        [high[0], low[1]],
+                        [high[0], high[1]],
+                        [low[0], high[1]],
+                    ],
+                }
+            )
+    X_WB = plant.GetFrameByName("base").CalcPoseInWorld(context)
+    return {
+        "outlines": outlines,
+        "robot": X_WB.translation()[:2].tolist(),
+    }

@@ -1,0 +1,223 @@
+"""What a run is made of: the Scenario, and how it is read from YAML."""
+
+import dataclasses as dc
+import difflib
+from importlib import resources
+import pathlib
+
+from pydrake.common.yaml import yaml_dump_typed, yaml_load_typed
+import yaml
+
+from tofssm_drake.diagrams.yaml_check import (
+    check_yaml,
+    get_children,
+    parse_yaml,
+)
+from tofssm_drake.errors import UserError, require
+from tofssm_drake.human.bvh import BvhRecording
+from tofssm_drake.human.walk import GeneratedWalk
+from tofssm_drake.robot.program import ProgramConfig
+from tofssm_drake.robot.sim_ur10 import SimUr10Config
+from tofssm_drake.sensing.occlusion_mask import OcclusionMaskConfig
+from tofssm_drake.sensing.separation import SeparationConfig
+from tofssm_drake.sensing.tof_ring import TofRingConfig
+from tofssm_drake.ssm.config import SsmConfig
+
+
+@dc.dataclass(kw_only=True)
+class NoHuman:
+    """Nobody walks in the cell."""
+
+    def check(self, where: str) -> None:
+        """There is nothing to check."""
+
+
+@dc.dataclass(kw_only=True)
+class Scenario:
+    """Everything that decides a run; the same scenario gives the same run."""
+
+    # Seed of every random draw: the sensors' constant errors and their noise.
+    random_seed: int = 0
+
+    # Longest simulated time, s. A run ends earlier when the last product is
+    # placed and the arm is back.
+    simulation_duration: float = 300.0
+
+    # Control tick, s: 0.008 of a CB3 controller, 0.002 of an e-Series. The
+    # law, the program and the record all run at it.
+    control_period: float = 0.008
+
+    # Sensors per ring; models/rings/ holds the rings of 8 and of 16.
+    sensors_per_ring: int = 8
+
+    # UR's real meshes as sensed and shown geometry of the robot instead of
+    # capsules. Needs the extra `meshes`.
+    robot_meshes: bool = False
+
+    # The simulated arm and its controller.
+    robot: SimUr10Config = dc.field(default_factory=SimUr10Config)
+
+    # The task: where the products are and how fast the arm moves.
+    program: ProgramConfig = dc.field(default_factory=ProgramConfig)
+
+    # Who is in the cell.
+    human: GeneratedWalk | BvhRecording | NoHuman = dc.field(
+        default_factory=GeneratedWalk
+    )
+
+    # The Time-of-Flight sensors and how a ring samples.
+    rings: TofRingConfig = dc.field(default_factory=TofRingConfig)
+
+    # First sample of the rings base, elbow and tool, s: their turns, so that
+    # not all rings use the host at once. *Assumed*.
+    ring_phases: list[float] = dc.field(
+        default_factory=lambda: [0.0, 0.008, 0.016]
+    )
+
+    # Which readings are the robot's own.
+    mask: OcclusionMaskConfig = dc.field(default_factory=OcclusionMaskConfig)
+
+    # From readings to distance and directed speeds.
+    separation: SeparationConfig = dc.field(default_factory=SeparationConfig)
+
+    # The safety law.
+    ssm: SsmConfig = dc.field(default_factory=SsmConfig)
+
+    def check(self, where: str = "") -> None:
+        """Raises UserError unless every setting makes sense.
+
+        Args:
+            where: Name of the scenario in what the user wrote.
+        """
+        at = f"{where}." if where else ""
+        require(
+            self.random_seed >= 0,
+            f"{at}random_seed: {self.random_seed} must be 0 or more",
+        )
+        require(
+            0.0 < self.simulation_duration <= 86400.0,
+            f"{at}simulation_duration: {self.simulation_duration} must be "
+            "above 0 and at most 86400 s",
+        )
+        require(
+            0.001 <= self.control_period <= 0.1,
+            f"{at}control_period: {self.control_period} must be from 0.001 "
+            "to 0.1 s",
+        )
+        require(
+            len(self.ring_phases) == 3
+            and all(0.0 <= phase < 10.0 for phase in self.ring_phases),
+            f"{at}ring_phases: {self.ring_phases} must be three times of 0 s "
+            "or more, of the rings base, elbow and tool",
+        )
+        for field in dc.fields(self):
+            value = getattr(self, field.name)
+            if dc.is_dataclass(value):
+                value.check(f"{at}{field.name}")
+
+
+def find_default_scenarios() -> pathlib.Path:
+    """Returns the path of the scenarios that come with the package."""
+    return pathlib.Path(
+        str(resources.files("tofssm_drake.diagrams") / "scenarios.yaml")
+    )
+
+
+def list_scenarios(filename: pathlib.Path | None = None) -> list[str]:
+    """Returns the names of the scenarios in a file, in its order.
+
+    Names that begin with an underscore are building blocks of others.
+
+    Raises:
+        UserError: The file can not be read or is no YAML mapping.
+    """
+    filename = filename or find_default_scenarios()
+    node = parse_yaml(_read(filename), str(filename))
+    return [name for name in get_children(node) if not name.startswith("_")]
+
+
+def load_scenario(
+    *,
+    filename: pathlib.Path | None = None,
+    name: str = "Default",
+    text: str = "",
+) -> Scenario:
+    """Reads a scenario: a named one from a file, then changes as text.
+
+    Args:
+        filename: YAML file whose top-level keys are scenario names; None
+            takes the scenarios that come with the package.
+        name: Which of them.
+        text: YAML of the settings to change, e.g. `{random_seed: 3}`.
+
+    Returns:
+        The scenario, checked.
+
+    Raises:
+        UserError: Something is unknown, misspelt, of the wrong type or out of
+            range; the message tells where and what would be right.
+    """
+    filename = filename or find_default_scenarios()
+    source = str(filename)
+    content = _read(filename)
+    children = get_children(parse_yaml(content, source))
+    names = [key for key in children if not key.startswith("_")]
+    if name not in names:
+        near = difflib.get_close_matches(name, names, n=1)
+        hint = f"did you mean {near[0]!r}? " if near else ""
+        raise UserError(
+            f"{source}: no scenario {name!r}; {hint}there are "
+            f"{', '.join(names)}"
+        )
+    check_yaml(children[name], Scenario, source, name)
+    scenario = _load(source, filename=str(filename), child_name=name)
+    if text.strip():
+        node = parse_yaml(text, "--scenario-text")
+        check_yaml(node, Scenario, "--scenario-text")
+        scenario = _load("--scenario-text", data=text, defaults=scenario)
+    scenario.check()
+    return scenario
+
+
+def dump_scenario(scenario: Scenario) -> dict:
+    """Returns a scenario as plain values, every setting written out."""
+    text = yaml_dump_typed(scenario, schema=Scenario)
+    return yaml.load(text, Loader=_PlainLoader)
+
+
+class _PlainLoader(yaml.SafeLoader):
+    """Reads a mapping with a tag `!Name` as one with a key `kind`."""
+
+
+def _construct_tagged(loader, suffix, node):
+    return {"kind": suffix} | loader.construct_mapping(node, deep=True)
+
+
+_PlainLoader.add_multi_constructor("!", _construct_tagged)
+
+
+def _read(filename: pathlib.Path) -> str:
+    try:
+        return filename.read_text(encoding="utf-8")
+    except OSError as error:
+        raise UserError(
+            f"{filename}: can not read the scenarios: {error.strerror}"
+        ) from None
+    except UnicodeDecodeError:
+        raise UserError(f"{filename}: is not text in UTF-8") from None
+
+
+def _load(source: str, **kwargs) -> Scenario:
+    kwargs.setdefault("defaults", Scenario())
+    try:
+        return yaml_load_typed(schema=Scenario, **kwargs)
+    except (
+        AssertionError,
+        KeyError,
+        RuntimeError,
+        TypeError,
+        ValueError,
+        yaml.YAMLError,
+    ) as error:
+        # The check above should have found it and said it better.
+        raise UserError(f"{source}: {' '.join(str(error).split())}") from None

@@ -1,0 +1,106 @@
+"""Runs a workcell from its start to the end of its task."""
+
+from collections.abc import Callable
+import dataclasses as dc
+import time
+
+from pydrake.systems.analysis import Simulator
+
+from tofssm_drake.diagrams.scenario import Scenario
+from tofssm_drake.diagrams.workcell import Workcell
+from tofssm_drake.evaluation.samples import Samples
+
+_TICKS_PER_STEP = 25
+
+
+@dc.dataclass(frozen=True, kw_only=True)
+class Progress:
+    """How far a run has come."""
+
+    time: float
+    """Simulated time, s."""
+    products_placed: int
+    wall_time: float
+    """Time since the start on the wall's clock, s."""
+    finished: bool
+    """The task is done, or the time is up."""
+
+    @property
+    def real_time_factor(self) -> float:
+        """Simulated over passed time."""
+        return self.time / self.wall_time if self.wall_time > 0.0 else 0.0
+
+
+class Run:
+    """One run of a workcell, advanced in steps.
+
+    Args:
+        workcell: What to run.
+        scenario: Its scenario: seed and longest duration.
+        real_time_rate: 1 runs no faster than the clock, for watching; 0 runs
+            as fast as possible.
+    """
+
+    def __init__(
+        self,
+        *,
+        workcell: Workcell,
+        scenario: Scenario,
+        real_time_rate: float = 0.0,
+    ):
+        self._workcell = workcell
+        self._duration = scenario.simulation_duration
+        self._step = _TICKS_PER_STEP * scenario.control_period
+        self._simulator = Simulator(
+            workcell.diagram, workcell.make_context(scenario.random_seed)
+        )
+        self._simulator.set_target_realtime_rate(real_time_rate)
+        self._simulator.Initialize()
+        self._context = self._simulator.get_context()
+        station = workcell.station.diagram
+        self._station_context = station.GetMyContextFromRoot(self._context)
+        self._task_done = station.GetOutputPort("task_done")
+        self._products_placed = station.GetOutputPort("products_placed")
+        self._steps = 0
+        self._wall_time = 0.0
+
+    def advance(self) -> Progress:
+        """Runs on for 25 control ticks, or to the end, and tells how far."""
+        start = time.perf_counter()
+        self._steps += 1
+        # From the count and not from the sum, so that no rounding gathers.
+        end = min(self._steps * self._step, self._duration)
+        self._simulator.AdvanceTo(end)
+        self._wall_time += time.perf_counter() - start
+        done = self._task_done.Eval(self._station_context)[0] > 0.5
+        return Progress(
+            time=end,
+            products_placed=int(
+                self._products_placed.Eval(self._station_context)[0]
+            ),
+            wall_time=self._wall_time,
+            finished=bool(done or end >= self._duration),
+        )
+
+    def make_samples(self) -> Samples:
+        """Returns what was recorded so far."""
+        return self._workcell.recorder.make_samples(self._context)
+
+
+def run_to_end(
+    run: Run, report: Callable[[Progress], None] = lambda progress: None
+) -> Progress:
+    """Advances a run until it is finished.
+
+    Args:
+        run: The run.
+        report: Called after every step.
+
+    Returns:
+        The last progress.
+    """
+    while True:
+        progress = run.advance()
+        report(progress)
+        if progress.finished:
+            return progress

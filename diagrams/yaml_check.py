@@ -1,0 +1,160 @@
+"""Finds what is wrong in a scenario's YAML before Drake's loader reads it.
+
+Drake's typed loader rejects a bad document but does not tell where. This
+check walks the document beside the schema and tells the line, the path of the
+key and what would be right.
+"""
+
+import collections.abc
+import dataclasses as dc
+import difflib
+import types
+import typing
+
+import numpy as np
+import yaml
+
+from tofssm_drake.errors import UserError
+
+_SCALARS = {
+    bool: ("bool",),
+    int: ("int",),
+    float: ("float", "int"),
+    str: ("str", "float", "int", "bool", "timestamp"),
+}
+_WORDS = {
+    bool: "true or false",
+    int: "a whole number",
+    float: "a number",
+    str: "text",
+}
+
+
+def parse_yaml(text: str, source: str) -> yaml.MappingNode:
+    """Parses a document into nodes that know their lines.
+
+    Args:
+        text: the document; empty means no settings.
+        source: what to call it in an error: a file name or an option.
+
+    Raises:
+        UserError: it is not YAML, or not a mapping.
+    """
+    try:
+        node = yaml.compose(text, Loader=yaml.SafeLoader)
+    except yaml.MarkedYAMLError as error:
+        mark = error.problem_mark or error.context_mark
+        line = f":{mark.line + 1}" if mark else ""
+        problem = error.problem or error.context
+        raise UserError(f"{source}{line}: not YAML: {problem}") from None
+    except yaml.YAMLError as error:
+        problem = str(error).splitlines()[0]
+        raise UserError(f"{source}: not YAML: {problem}") from None
+    if node is None:
+        return yaml.MappingNode("tag:yaml.org,2002:map", [])
+    if not isinstance(node, yaml.MappingNode):
+        raise UserError(
+            f"{source}:{node.start_mark.line + 1}: must be a mapping of keys "
+            f"to values"
+        )
+    return node
+
+
+def get_children(node: yaml.MappingNode) -> dict[str, yaml.Node]:
+    """Returns a mapping's values by key, merges (`<<`) resolved."""
+    own, merged = {}, {}
+    for key, value in node.value:
+        if key.tag == "tag:yaml.org,2002:merge":
+            parts = (
+                value.value if isinstance(value, yaml.SequenceNode) else [value]
+            )
+            for part in parts:
+                merged = get_children(part) | merged
+        else:
+            own[key.value] = value
+    return merged | own
+
+
+def check_yaml(
+    node: yaml.Node, schema: type, source: str, where: str = ""
+) -> None:
+    """Checks that a node fits a dataclass schema of Drake's typed loader.
+
+    Args:
+        node: the document's node.
+        schema: what the node must be: a dataclass, a union of dataclasses, a
+            scalar type, list[T], dict[str, T] or np.ndarray.
+        source: what to call the document in an error.
+        where: path of keys that leads to the node.
+
+    Raises:
+        UserError: unknown key (with the nearest known one) or wrong type.
+    """
+
+    def fail(problem):
+        line = node.start_mark.line + 1 if node.start_mark else 1
+        raise UserError(f"{source}:{line}: {where or 'scenario'}: {problem}")
+
+    origin = typing.get_origin(schema)
+    if origin in (types.UnionType, typing.Union):
+        schema = _choose(node, typing.get_args(schema), fail)
+        if schema is None:
+            return
+        origin = typing.get_origin(schema)
+    if dc.is_dataclass(schema):
+        if not isinstance(node, yaml.MappingNode):
+            fail("must be a mapping of keys to values")
+        known = {f.name: f.type for f in dc.fields(schema)}
+        for key, child in get_children(node).items():
+            path = f"{where}.{key}" if where else key
+            if key not in known:
+                near = difflib.get_close_matches(key, known, n=1)
+                line = child.start_mark.line + 1
+                right = (
+                    f"did you mean {near[0]!r}?"
+                    if near
+                    else f"known keys: {', '.join(sorted(known))}"
+                )
+                raise UserError(
+                    f"{source}:{line}: {path}: unknown key; {right}"
+                )
+            check_yaml(child, known[key], source, path)
+    elif origin is list or schema is np.ndarray:
+        item = typing.get_args(schema)[0] if origin is list else None
+        if not isinstance(node, yaml.SequenceNode):
+            fail("must be a list, e.g. [0.0, 1.0]")
+        for index, child in enumerate(node.value):
+            if item is not None:
+                check_yaml(child, item, source, f"{where}[{index}]")
+    elif origin in (dict, collections.abc.Mapping):
+        if not isinstance(node, yaml.MappingNode):
+            fail("must be a mapping of names to values")
+        for key, child in get_children(node).items():
+            item = typing.get_args(schema)[1]
+            check_yaml(child, item, source, f"{where}.{key}")
+    elif schema in _SCALARS:
+        kind = node.tag.rpartition(":")[2]
+        if not isinstance(node, yaml.ScalarNode) or (
+            kind not in _SCALARS[schema]
+        ):
+            value = (
+                repr(node.value)
+                if isinstance(node, yaml.ScalarNode)
+                else "a mapping or list"
+            )
+            fail(f"must be {_WORDS[schema]}, not {value}")
+
+
+def _choose(node, members, fail):
+    """Returns the union's member that the node's tag names; None for null."""
+    kind = node.tag.rpartition(":")[2]
+    if kind == "null" and type(None) in members:
+        return None
+    members = [m for m in members if m is not type(None)]
+    if not node.tag.startswith("!"):
+        return members[0]
+    for member in members:
+        if member.__name__ == node.tag[1:]:
+            return member
+    names = ", ".join(f"!{m.__name__}" for m in members)
+    fail(f"unknown kind {node.tag}; one of {names}")

@@ -1,0 +1,303 @@
+"""`tofssm simulate`: runs a scenario in simulation and writes its results."""
+
+import contextlib
+import json
+from pathlib import Path
+import shlex
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+from typing import Annotated
+
+from pydrake.systems.framework import Diagram
+from rich.console import Console
+from rich.progress import (
+    BarColumn,
+    Progress,
+    TextColumn,
+    TimeElapsedColumn,
+)
+import typer
+
+from tofssm_drake.diagrams.scenario import (
+    Scenario,
+    dump_scenario,
+    load_scenario,
+)
+from tofssm_drake.diagrams.simulation import Run
+from tofssm_drake.diagrams.workcell import Workcell, make_workcell
+from tofssm_drake.errors import UserError, require
+from tofssm_drake.evaluation.metrics import calc_summary
+from tofssm_drake.evaluation.report import write_report
+from tofssm_drake.evaluation.samples import write_atomically, write_samples
+from tofssm_drake.human.bvh import BvhRecording
+from tofssm_drake.ssm.config import CONFIGURATIONS
+
+
+def simulate(
+    scenario_file: Annotated[
+        Path | None,
+        typer.Option(help="YAML file of scenarios; default: those shipped."),
+    ] = None,
+    scenario_name: Annotated[
+        str, typer.Option(help="Which scenario of the file.")
+    ] = "Default",
+    scenario_text: Annotated[
+        str,
+        typer.Option(help="Settings to change, as YAML, e.g. '{a: {b: 1}}'."),
+    ] = "",
+    ssm: Annotated[
+        str | None,
+        typer.Option(help="Safety law: vo, vr or sm.", metavar="vo|vr|sm"),
+    ] = None,
+    sensors_per_ring: Annotated[
+        int | None, typer.Option(help="8 or 16.")
+    ] = None,
+    human_motion: Annotated[
+        Path | None,
+        typer.Option(
+            help="A BVH recording whose gait the person walks with.",
+            metavar="FILE.bvh",
+        ),
+    ] = None,
+    seed: Annotated[
+        int | None, typer.Option(help="Seed of the sensors' errors.")
+    ] = None,
+    duration: Annotated[
+        float | None, typer.Option(help="Longest simulated time, s.")
+    ] = None,
+    meshcat: Annotated[
+        bool,
+        typer.Option(help="Watch live in a browser, at real time."),
+    ] = False,
+    recording: Annotated[
+        bool, typer.Option(help="Write recording.html, a 3-D replay.")
+    ] = True,
+    graphviz: Annotated[
+        Path | None,
+        typer.Option(
+            help="Also draw the Diagram: FILE.dot, or FILE.svg, FILE.png or "
+            "FILE.pdf if Graphviz is installed.",
+            metavar="FILE",
+        ),
+    ] = None,
+    out: Annotated[
+        Path, typer.Option(help="Folder for the results.", metavar="DIR")
+    ] = Path("out"),
+) -> int:
+    """Simulate the cell and write summary, samples, report and recording."""
+    scenario = load_scenario(
+        filename=scenario_file, name=scenario_name, text=scenario_text
+    )
+    override(
+        scenario,
+        ssm=ssm,
+        sensors_per_ring=sensors_per_ring,
+        human_motion=human_motion,
+        seed=seed,
+        duration=duration,
+    )
+    require_drawable(graphviz)
+    workcell = make_workcell(scenario)
+    # Whatever a user can get wrong is known by now: nothing is written before.
+    make_folder(out)
+    if graphviz:
+        draw_diagram(workcell.diagram, graphviz)
+    interrupted = run_and_report(workcell, scenario, scenario_name, out)
+    return 130 if interrupted else 0
+
+
+def override(
+    scenario: Scenario,
+    *,
+    ssm: str | None = None,
+    sensors_per_ring: int | None = None,
+    human_motion: Path | None = None,
+    seed: int | None = None,
+    duration: float | None = None,
+) -> None:
+    """Changes a scenario by the options of the command line.
+
+    Args:
+        scenario: Changed in place; checked afterwards.
+        ssm: Configuration of the safety law.
+        sensors_per_ring: Which rings.
+        human_motion: BVH file; other settings of a recording are kept.
+        seed: Random seed.
+        duration: Longest simulated time, s.
+
+    Raises:
+        UserError: A value is unknown or out of range.
+    """
+    if ssm is not None:
+        require(
+            ssm.lower() in CONFIGURATIONS,
+            f"--ssm: {ssm!r} is unknown, use one of "
+            f"{', '.join(CONFIGURATIONS)}",
+        )
+        scenario.ssm.configuration = ssm.lower()
+    if sensors_per_ring is not None:
+        scenario.sensors_per_ring = sensors_per_ring
+    if human_motion is not None:
+        if not isinstance(scenario.human, BvhRecording):
+            scenario.human = BvhRecording()
+        scenario.human.filename = str(human_motion)
+    if seed is not None:
+        scenario.random_seed = seed
+    if duration is not None:
+        scenario.simulation_duration = duration
+    scenario.check()
+
+
+def require_drawable(filename: Path | None) -> None:
+    """Raises UserError if a picture of the Diagram can not be made."""
+    if filename is None:
+        return
+    require(
+        filename.suffix in (".dot", ".svg", ".png", ".pdf"),
+        f"--graphviz: {filename} must end in .dot, .svg, .png or .pdf",
+    )
+    require(
+        filename.suffix == ".dot" or shutil.which("dot") is not None,
+        f"--graphviz: {filename.suffix} needs Graphviz's program dot "
+        "(apt-get install graphviz); a name ending in .dot does not",
+    )
+    require(
+        filename.parent.is_dir(),
+        f"--graphviz: there is no folder {filename.parent}",
+    )
+
+
+def draw_diagram(diagram: Diagram, filename: Path) -> None:
+    """Draws a Diagram to a file, whole or not at all."""
+    dot = diagram.GetGraphvizString(max_depth=2)
+
+    def write(temporary):
+        if filename.suffix == ".dot":
+            temporary.write_text(dot)
+        else:
+            kind = filename.suffix[1:]
+            subprocess.run(
+                ["dot", f"-T{kind}", "-o", temporary],
+                input=dot,
+                text=True,
+                check=True,
+            )
+
+    write_atomically(filename, write)
+
+
+def make_folder(folder: Path) -> None:
+    """Makes a folder, and makes sure that files can be written into it.
+
+    Raises:
+        UserError: They can not.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder):
+            pass
+    except OSError as error:
+        raise UserError(
+            f"--out: can not write into {folder}: {error.strerror}"
+        ) from None
+
+
+@contextlib.contextmanager
+def catch_stop():
+    """Turns Ctrl-C and SIGTERM into a flag, so that no row is torn apart.
+
+    Yields:
+        A list that is empty until the signal came. A second Ctrl-C is not
+        caught.
+    """
+    stopped = []
+
+    def stop(number, frame):
+        stopped.append(number)
+        signal.signal(number, previous[number])
+
+    previous = {
+        number: signal.signal(number, stop)
+        for number in (signal.SIGINT, signal.SIGTERM)
+    }
+    try:
+        yield stopped
+    finally:
+        for number, handler in previous.items():
+            signal.signal(number, handler)
+
+
+def run_and_report(
+    workcell: Workcell, scenario: Scenario, name: str, out: Path
+) -> bool:
+    """Runs to the end and writes what was recorded.
+
+    Args:
+        workcell: Made from the scenario.
+        scenario: The scenario as run.
+        name: Its name.
+        out: Folder for the results.
+
+    Returns:
+        Whether the run was interrupted; what it has is written all the same.
+    """
+    console = Console(stderr=True)
+    with catch_stop() as stopped:
+        run = Run(workcell=workcell, scenario=scenario)
+        with make_progress_bar(console) as bar:
+            task = bar.add_task(
+                "", total=scenario.program.products, time=0.0, factor=0.0
+            )
+            while True:
+                progress = run.advance()
+                bar.update(
+                    task,
+                    completed=progress.products_placed,
+                    time=progress.time,
+                    factor=progress.real_time_factor,
+                )
+                if progress.finished or stopped:
+                    break
+    samples = run.make_samples()
+    samples.metadata |= {
+        "scenario_name": name,
+        "command": shlex.join(["tofssm", *sys.argv[1:]]),
+        "interrupted": bool(stopped),
+    }
+    summary = calc_summary(samples, products=scenario.program.products)
+    summary |= {
+        "interrupted": bool(stopped),
+        "real_time_factor": progress.real_time_factor,
+        "seed": scenario.random_seed,
+        "scenario_name": name,
+        "scenario": dump_scenario(scenario),
+        "versions": samples.metadata["versions"],
+    }
+    write_samples(samples, out)
+    text = json.dumps(summary, indent=2, allow_nan=False) + "\n"
+    write_atomically(out / "summary.json", lambda p: p.write_text(text))
+    write_report(samples, summary, out / "report.html")
+    console.print(
+        f"{progress.products_placed} of {scenario.program.products} products "
+        f"in {progress.time:.1f} s, {progress.real_time_factor:.1f} times "
+        f"faster than real time{' (interrupted)' if stopped else ''}",
+        highlight=False,
+    )
+    print(f"Report: {(out / 'report.html').resolve()}")
+    return bool(stopped)
+
+
+def make_progress_bar(console: Console) -> Progress:
+    """Returns a bar of products with simulated time and real-time factor."""
+    return Progress(
+        TextColumn("simulating"),
+        BarColumn(),
+        TextColumn("{task.completed:.0f}/{task.total:.0f} products"),
+        TextColumn("{task.fields[time]:6.1f} s simulated"),
+        TextColumn("{task.fields[factor]:5.1f} x real time"),
+        TimeElapsedColumn(),
+        console=console,
+    )

@@ -1,0 +1,87 @@
+import dataclasses as dc
+import unittest
+
+import numpy as np
+from pydrake.common.yaml import yaml_load_typed
+
+import tofssm_drake.diagrams.yaml_check as mut
+from tofssm_drake.errors import UserError
+
+
+@dc.dataclass(kw_only=True)
+class _Walk:
+    speed: float = 1.2
+
+
+@dc.dataclass(kw_only=True)
+class _Nobody:
+    pass
+
+
+@dc.dataclass(kw_only=True)
+class _Cell:
+    name: str = "cell"
+    sensors: int = 8
+    enabled: bool = True
+    center: list[float] = dc.field(default_factory=lambda: [0.0, 0.0])
+    matrix: np.ndarray = dc.field(default_factory=lambda: np.zeros(2))
+    limits: dict[str, float] = dc.field(default_factory=dict)
+    height: float | None = None
+    human: _Walk | _Nobody = dc.field(default_factory=_Walk)
+
+
+def _check(text):
+    node = mut.parse_yaml(text, "cell.yaml")
+    mut.check_yaml(node, _Cell, "cell.yaml")
+
+
+class TestCheckYaml(unittest.TestCase):
+    def test_good_documents_pass_here_and_in_drake(self):
+        for text in (
+            "{}",
+            "sensors: 16",
+            "{center: [1, 2.5], limits: {a: 1}, height: null}",
+            "{height: 2, matrix: [1, 2]}",
+            "human: !_Nobody {}",
+            "human: {speed: 1}",
+            "human: !_Walk {speed: 1.5}",
+        ):
+            with self.subTest(text=text):
+                _check(text)
+                yaml_load_typed(schema=_Cell, data=text, defaults=_Cell())
+
+    def test_an_empty_document_has_no_settings(self):
+        _check("")
+        _check("# nothing but a comment")
+
+    def test_bad_documents_are_told_with_line_path_and_remedy(self):
+        for text, message in (
+            ("sensor: 8", "cell.yaml:1: sensor: unknown key; did you mean"),
+            ("name: a\nzzz: 8", "cell.yaml:2: zzz: unknown key; known keys:"),
+            ("sensors: 8.5", "cell.yaml:1: sensors: must be a whole number"),
+            ("sensors: eight", "must be a whole number, not 'eight'"),
+            ("enabled: 1", "enabled: must be true or false, not '1'"),
+            ("center: 3", "center: must be a list"),
+            ("center: [1, b]", r"center\[1\]: must be a number, not 'b'"),
+            ("limits: {a: b}", "limits.a: must be a number"),
+            ("limits: 3", "limits: must be a mapping"),
+            ("human: {sped: 1}", "human.sped: unknown key; did you mean"),
+            ("human: !Robot {}", "unknown kind !Robot; one of !_Walk, !_Nob"),
+            ("human: !_Nobody {speed: 1}", "human.speed: unknown key"),
+            ("human: 3", "human: must be a mapping"),
+            ("name: [1]", "name: must be text, not a mapping or list"),
+            ("[1, 2]", "cell.yaml:1: must be a mapping"),
+            ("a: [", "cell.yaml:1: not YAML"),
+            ("\tx: 1", "cell.yaml:1: not YAML"),
+            ("a: \x00", "cell.yaml: not YAML"),
+        ):
+            with self.subTest(text=text):
+                with self.assertRaisesRegex(UserError, message) as context:
+                    _check(text)
+                self.assertNotIn("\n", str(context.exception))
+
+    def test_merged_keys_are_checked_too(self):
+        text = "base: &base {sped: 1}\nhuman:\n  <<: *base\n"
+        node = mut.get_children(mut.parse_yaml(text, "x"))["human"]
+        with self.assertRaisesRegex(UserError, "sped"):
+            mut.check_yaml(node, _Walk, "x")

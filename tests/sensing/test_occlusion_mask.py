@@ -1,0 +1,456 @@
+import dataclasses as dc
+import unittest
+
+from hypothesis import given, settings
+from hypothesis import strategies as st
+import numpy as np
+from pydrake.common.value import Value
+from pydrake.common.yaml import yaml_load_typed
+from pydrake.geometry import (
+    GeometryFrame,
+    GeometryInstance,
+    PerceptionProperties,
+    SceneGraph,
+    Sphere,
+)
+from pydrake.math import RigidTransform, RotationMatrix
+from pydrake.systems.analysis import Simulator
+
+from tofssm_drake.errors import UserError
+from tofssm_drake.geometry.ray_caster import RayCaster
+from tofssm_drake.messages import RINGS, MaskedScan, Reading, RingScan
+import tofssm_drake.sensing.occlusion_mask as mut
+from tofssm_drake.sensing.tof_ring import TofRingConfig
+
+CLEAR, VALID, MASKED, FAULTED = Reading
+RADIUS = 0.1
+
+
+class SphereTwin:
+    """A robot that is a sphere; joint 0 is how far its near side is."""
+
+    def __init__(self):
+        self.asked = []
+
+    def calc(self, q, gripper_closed, products_placed):
+        self.asked.append((q.copy(), gripper_closed, products_placed))
+        X_WF = np.eye(3, 4)[None].repeat(2, axis=0)
+        X_WF[0, 0, 3] = q[0] + RADIUS
+        return X_WF
+
+
+def make_cell(config, n=8):
+    """A ring at the origin of the world, sensor 0 looks along x."""
+    scene_graph = SceneGraph()
+    source_id = scene_graph.RegisterSource("twin")
+    frame_id = scene_graph.RegisterFrame(source_id, GeometryFrame("robot"))
+    geometry = GeometryInstance(RigidTransform(), Sphere(RADIUS), "robot")
+    geometry.set_perception_properties(PerceptionProperties())
+    scene_graph.RegisterGeometry(source_id, frame_id, geometry)
+    caster = RayCaster(scene_graph.model_inspector())
+    bundles = mut.make_mask_bundles(
+        config=config,
+        ring_config=TofRingConfig(),
+        caster=caster,
+        frame_id=scene_graph.world_frame_id(),
+        X_FS=[
+            RigidTransform(
+                RotationMatrix.MakeZRotation(2 * np.pi * i / n), np.zeros(3)
+            )
+            for i in range(n)
+        ],
+    )
+    return dict(caster=caster, bundles=bundles, twin=SphereTwin())
+
+
+def make_scan(distance, status=0, *, sequence=0, time=1.0, n=8):
+    """Sensor 0 reads `distance`, the others nothing."""
+    every_status = np.full(n, 2, dtype=np.uint8)
+    every_status[0] = status
+    every_distance = np.full(n, 3.21)
+    every_distance[0] = distance
+    return RingScan(
+        sequence=sequence,
+        time=time + 0.015,
+        sensor_time=np.full(n, time),
+        distance=every_distance,
+        status=every_status,
+    )
+
+
+def make_history(times, positions, gripper_closed=0.0, products_placed=0.0):
+    table = mut.make_robot_history(len(times))
+    for time, position in zip(times, positions, strict=True):
+        q = np.zeros(6)
+        q[0] = position
+        table = mut.push_report(
+            table, time, q, 10 * q, gripper_closed, products_placed
+        )
+    return table
+
+
+class TestConfig(unittest.TestCase):
+    def test_default_tolerance_covers_the_datasheet(self):
+        dut = mut.OcclusionMaskConfig()
+        dut.check("mask")
+        self.assertGreaterEqual(dut.tolerance, 0.025)
+
+    def test_loads_and_checks(self):
+        dut = yaml_load_typed(
+            schema=mut.OcclusionMaskConfig, data="{enabled: false}"
+        )
+        self.assertFalse(dut.enabled)
+        for name, bad in (
+            ("sigma", -0.1),
+            ("rays_per_sensor", -1),
+            ("min_range", 1.0),
+            ("max_range", np.nan),
+            ("max_age", 0.0),
+            ("max_age", 0.004),
+            ("period", 0.0),
+        ):
+            with self.assertRaisesRegex(UserError, f"here.{name}: "):
+                mut.OcclusionMaskConfig(**{name: bad}).check("here")
+
+    def test_rays_are_the_rings_unless_set(self):
+        for rays, expected in ((0, 25), (9, 9)):
+            cell = make_cell(mut.OcclusionMaskConfig(rays_per_sensor=rays))
+            self.assertEqual(len(cell["bundles"].fan_S), expected)
+        # Farther than a sensor can measure by what a reading can be wrong.
+        np.testing.assert_allclose(cell["bundles"].max_range, 1.36 + 0.03)
+
+
+class TestHistory(unittest.TestCase):
+    @settings(deadline=None)
+    @given(
+        t=st.floats(0.0, 0.056),
+        slope=st.floats(-3.0, 3.0),
+        start=st.floats(-3.0, 3.0),
+    )
+    def test_linear_motion_is_met_exactly(self, t, slope, start):
+        times = 0.008 * np.arange(8)
+        history = make_history(times, start + slope * times)
+        dut = mut.interpolate_reports(history, t)
+        self.assertAlmostEqual(dut[1], start + slope * t, delta=1e-12)
+        self.assertAlmostEqual(dut[7], 10 * (start + slope * t), delta=1e-11)
+
+    def test_outside_of_its_span(self):
+        history = make_history([1.0, 1.008], [0.5, 0.6])
+        self.assertEqual(mut.interpolate_reports(history, 0.9)[1], 0.5)
+        self.assertEqual(mut.interpolate_reports(history, 1.1)[1], 0.6)
+
+    def test_unused_rows_are_not_looked_at(self):
+        table = mut.push_report(
+            mut.make_robot_history(5),
+            1.0,
+            np.full(6, 0.3),
+            np.zeros(6),
+            1.0,
+            4.0,
+        )
+        for time in (0.9, 1.0, 1.1):
+            dut = mut.interpolate_reports(table, time)
+            np.testing.assert_array_equal(dut[1:7], np.full(6, 0.3))
+            np.testing.assert_array_equal(dut[13:], [1.0, 4.0])
+
+    def test_gripper_and_products_are_those_before(self):
+        table = make_history([1.0, 1.008], [0.0, 0.0], 0.0, 3.0)
+        table = mut.push_report(
+            table, 1.016, np.zeros(6), np.zeros(6), 1.0, 4.0
+        )
+        dut = mut.interpolate_reports(table, 1.0159)
+        np.testing.assert_array_equal(dut[13:], [0.0, 3.0])
+        dut = mut.interpolate_reports(table, 1.016)
+        np.testing.assert_array_equal(dut[13:], [1.0, 4.0])
+
+    def test_oldest_is_dropped_and_the_old_table_stays(self):
+        old = make_history([1.0, 1.008], [0.5, 0.6])
+        copy = old.copy()
+        new = mut.push_report(
+            old, 1.016, np.full(6, 0.7), np.zeros(6), 0.0, 0.0
+        )
+        np.testing.assert_array_equal(new[:, 0], [1.008, 1.016])
+        np.testing.assert_array_equal(old, copy)
+
+
+class TestMaskScan(unittest.TestCase):
+    def mask(self, scan, *, position=0.5, config=None, before=None, **kwargs):
+        config = config or mut.OcclusionMaskConfig()
+        self.cell = make_cell(config)
+        return mut.mask_scan(
+            config,
+            scan=scan,
+            before=before or MaskedScan(),
+            time=scan.time,
+            table=make_history([0.0, 2.0], [position, position]),
+            **{**self.cell, **kwargs},
+        )
+
+    def test_robot_is_masked_a_person_is_not(self):
+        for distance, expected in (
+            (0.5, MASKED),
+            (0.475, MASKED),
+            (0.525, MASKED),
+            (0.46, VALID),
+            (0.65, VALID),
+        ):
+            dut = self.mask(make_scan(distance))
+            self.assertEqual(dut.reading[0], expected, distance)
+            self.assertTrue((dut.reading[1:] == CLEAR).all())
+        # The nearest hit of the cone is on its axis.
+        self.assertAlmostEqual(dut.self_nearest[0], 0.5, delta=1e-12)
+        # The sphere's edge is within the cone: a ray just misses it or not.
+        self.assertGreater(dut.self_farthest[0], 0.51)
+        self.assertLess(dut.self_farthest[0], 0.6)
+        self.assertTrue((dut.self_nearest[1:] == np.inf).all())
+        self.assertTrue((dut.self_farthest[1:] == -np.inf).all())
+
+    def test_robot_out_of_range_is_no_excuse(self):
+        dut = self.mask(make_scan(0.5), position=2.0)
+        self.assertEqual(dut.reading[0], VALID)
+
+    def test_switched_off(self):
+        dut = self.mask(
+            make_scan(0.5), config=mut.OcclusionMaskConfig(enabled=False)
+        )
+        self.assertEqual(dut.reading[0], VALID)
+        self.assertEqual(self.cell["twin"].asked, [])
+
+    def test_twin_is_posed_at_the_samples_own_time(self):
+        config = mut.OcclusionMaskConfig()
+        cell = make_cell(config)
+        # 1.5 m/s: in the 24 ms until the tick the robot moves 36 mm.
+        times = 1.0 + 0.008 * np.arange(5)
+        history = make_history(times, 0.5 + 1.5 * (times - 1.0), 1.0, 3.0)
+        time = 1.004
+        dut = mut.mask_scan(
+            config,
+            scan=make_scan(0.506, time=time),
+            before=MaskedScan(),
+            time=1.032,
+            table=history,
+            **cell,
+        )
+        self.assertAlmostEqual(dut.self_nearest[0], 0.506, delta=1e-12)
+        self.assertEqual(dut.reading[0], MASKED)
+        np.testing.assert_allclose(dut.position[:, 0], 0.506)
+        np.testing.assert_allclose(dut.velocity[:, 0], 5.06)
+        self.assertEqual(dut.position.shape, (8, 6))
+        ((_, gripper_closed, products_placed),) = cell["twin"].asked
+        self.assertEqual((gripper_closed, products_placed), (1.0, 3.0))
+
+    def test_each_sensor_at_its_own_time(self):
+        config = mut.OcclusionMaskConfig()
+        cell = make_cell(config)
+        times = 1.0 + 0.008 * np.arange(5)
+        scan = make_scan(0.5)
+        scan = dc.replace(scan, sensor_time=np.array([1.0, 1.01] * 4))
+        dut = mut.mask_scan(
+            config,
+            scan=scan,
+            before=MaskedScan(),
+            time=1.032,
+            table=make_history(times, 0.5 + 1.5 * (times - 1.0)),
+            **cell,
+        )
+        np.testing.assert_allclose(dut.position[0::2, 0], 0.5)
+        np.testing.assert_allclose(dut.position[1::2, 0], 0.515)
+        self.assertEqual(len(cell["twin"].asked), 2)
+        self.assertAlmostEqual(dut.self_nearest[0], 0.5, delta=1e-12)
+
+    def test_previous_sample_of_each_sensor(self):
+        first = self.mask(make_scan(0.8, sequence=0, time=1.0))
+        self.assertTrue(np.isnan(first.previous_distance).all())
+        second = self.mask(make_scan(0.7, sequence=1, time=1.024), before=first)
+        self.assertEqual(second.previous_distance[0], 0.8)
+        self.assertTrue(np.isnan(second.previous_distance[1:]).all())
+        np.testing.assert_array_equal(second.previous_time, 1.0)
+        # The robot is not a person's sample before.
+        third = self.mask(make_scan(0.5, sequence=2, time=1.048), before=second)
+        fourth = self.mask(make_scan(0.6, sequence=3, time=1.072), before=third)
+        self.assertTrue(np.isnan(fourth.previous_distance).all())
+
+    def test_nearer_than_can_be_measured(self):
+        dut = self.mask(make_scan(0.7, status=3))
+        self.assertEqual(dut.reading[0], VALID)
+        self.assertEqual(dut.scan.distance[0], 0.0)
+        self.assertEqual(dut.scan.status[0], 3)
+
+    def test_nothing_new_holds_the_sample_until_it_is_old(self):
+        first = self.mask(make_scan(0.8, sequence=0, time=1.0))
+        second = self.mask(make_scan(0.7, sequence=1, time=1.024), before=first)
+        third = self.mask(
+            make_scan(3.0, status=254, sequence=2, time=1.048), before=second
+        )
+        self.assertEqual(third.reading[0], VALID)
+        self.assertEqual(third.scan.distance[0], 0.7)
+        self.assertEqual(third.scan.sensor_time[0], 1.024)
+        self.assertEqual(third.scan.sensor_time[1], 1.048)
+        self.assertEqual(third.previous_distance[0], 0.8)
+        self.assertEqual(third.previous_time[0], 1.0)
+        self.assertEqual(third.previous_time[1], 1.024)
+        fourth = self.mask(
+            make_scan(3.0, status=254, sequence=3, time=1.096), before=third
+        )
+        self.assertEqual(fourth.reading[0], FAULTED)
+        self.assertEqual(fourth.reading[1], CLEAR)
+        # And when it is back, there is no sample before.
+        fifth = self.mask(make_scan(0.6, sequence=4, time=1.12), before=fourth)
+        self.assertEqual(fifth.reading[0], VALID)
+        self.assertTrue(np.isnan(fifth.previous_distance[0]))
+
+    def test_nothing_new_from_the_start_is_a_fault(self):
+        dut = self.mask(make_scan(0.0, status=254))
+        self.assertEqual(dut.reading[0], FAULTED)
+
+    def test_time_that_is_not_a_number_is_a_fault(self):
+        scan = make_scan(0.7)
+        time = scan.sensor_time.copy()
+        time[0] = np.nan
+        dut = self.mask(dc.replace(scan, sensor_time=time))
+        self.assertEqual(dut.reading[0], FAULTED)
+        self.assertEqual(dut.reading[1], CLEAR)
+
+    def test_rejects_a_scan_of_another_ring(self):
+        with self.assertRaisesRegex(ValueError, "16 sensors.* 8"):
+            self.mask(make_scan(0.5, n=16))
+
+    @settings(deadline=None, max_examples=30)
+    @given(
+        distance=st.floats(0.05, 1.3),
+        position=st.floats(0.05, 1.3),
+    )
+    def test_robot_never_stops_itself_and_a_person_in_front_counts(
+        self, distance, position
+    ):
+        dut = self.mask(make_scan(distance), position=position)
+        if abs(distance - position) < 0.025:
+            self.assertEqual(dut.reading[0], MASKED)
+        if distance < position - 0.031:
+            self.assertEqual(dut.reading[0], VALID)
+
+
+class TestOcclusionMask(unittest.TestCase):
+    def setUp(self):
+        config = mut.OcclusionMaskConfig()
+        self.cell = make_cell(config)
+        self.dut = mut.OcclusionMask(
+            config=config,
+            caster=self.cell["caster"],
+            bundles=[self.cell["bundles"]] * 3,
+            twin=self.cell["twin"],
+        )
+        self.simulator = Simulator(self.dut)
+        self.context = self.simulator.get_mutable_context()
+        for ring in RINGS:
+            self.fix_scan(RingScan(), ring)
+        self.fix("position_measured", [0.5, 0, 0, 0, 0, 0])
+        self.fix("velocity_measured", np.arange(6.0))
+        self.fix("gripper_closed", [1.0])
+        self.fix("products_placed", [3.0])
+
+    def fix(self, name, value):
+        self.dut.GetInputPort(name).FixValue(self.context, value)
+
+    def fix_scan(self, scan, ring="base"):
+        self.fix(f"scan_{ring}", Value(scan))
+
+    def eval(self, ring="base", context=None):
+        return self.dut.GetOutputPort(f"masked_scan_{ring}").Eval(
+            context or self.context
+        )
+
+    def test_ports(self):
+        self.assertEqual(
+            [
+                self.dut.get_input_port(i).get_name()
+                for i in range(self.dut.num_input_ports())
+            ],
+            [
+                "scan_base",
+                "scan_elbow",
+                "scan_tool",
+                "position_measured",
+                "velocity_measured",
+                "gripper_closed",
+                "products_placed",
+            ],
+        )
+        self.assertEqual(
+            [
+                self.dut.get_output_port(i).get_name()
+                for i in range(self.dut.num_output_ports())
+            ],
+            ["masked_scan_base", "masked_scan_elbow", "masked_scan_tool"],
+        )
+        self.assertFalse(self.dut.HasAnyDirectFeedthrough())
+
+    def test_one_set_of_rays_per_ring(self):
+        with self.assertRaisesRegex(ValueError, "1 for 3 rings"):
+            mut.OcclusionMask(
+                config=mut.OcclusionMaskConfig(),
+                caster=self.cell["caster"],
+                bundles=[self.cell["bundles"]],
+                twin=self.cell["twin"],
+            )
+
+    def test_nothing_before_the_first_scan(self):
+        self.simulator.AdvanceTo(0.1)
+        for ring in RINGS:
+            self.assertEqual(self.eval(ring).scan.sequence, -1)
+        self.assertEqual(self.cell["twin"].asked, [])
+
+    def test_masks_each_scan_once_in_the_tick_that_sees_it(self):
+        self.simulator.AdvanceTo(0.031)
+        self.fix_scan(make_scan(0.5, sequence=0, time=0.016))
+        self.simulator.AdvanceTo(0.0319)
+        self.assertEqual(self.eval().scan.sequence, -1)
+        self.simulator.AdvanceTo(0.0321)
+        first = self.eval()
+        self.assertEqual(first.scan.sequence, 0)
+        self.assertEqual(first.reading[0], MASKED)
+        np.testing.assert_array_equal(first.velocity[0], np.arange(6.0))
+        self.simulator.AdvanceTo(0.05)
+        self.assertIs(self.eval(), first)
+        ((_, gripper_closed, products_placed),) = self.cell["twin"].asked
+        self.assertEqual((gripper_closed, products_placed), (1.0, 3.0))
+
+        self.fix_scan(make_scan(0.7, sequence=1, time=0.040))
+        self.simulator.AdvanceTo(0.0561)
+        self.assertEqual(self.eval().reading[0], VALID)
+        # The robot was masked: no sample before.
+        self.assertTrue(np.isnan(self.eval().previous_distance[0]))
+
+    def test_rings_do_not_touch_each_other(self):
+        self.fix_scan(make_scan(0.7, time=0.0), "elbow")
+        self.simulator.AdvanceTo(0.001)
+        elbow = self.eval("elbow")
+        self.assertEqual(elbow.reading[0], VALID)
+        self.assertEqual(self.eval("base").scan.sequence, -1)
+        self.fix_scan(make_scan(0.5, time=0.008), "tool")
+        self.simulator.AdvanceTo(0.009)
+        self.assertIs(self.eval("elbow"), elbow)
+        self.assertEqual(self.eval("tool").reading[0], MASKED)
+        self.assertEqual(self.eval("base").scan.sequence, -1)
+
+    def test_history_reaches_back_as_far_as_a_sample_may_be_old(self):
+        for tick in range(30):
+            self.fix("position_measured", [0.5 + 0.01 * tick, 0, 0, 0, 0, 0])
+            if tick == 29:
+                # 70 ms ago, between the ticks 20 and 21.
+                self.fix_scan(make_scan(0.7, time=0.008 * 29 - 0.070))
+            self.simulator.AdvanceTo(0.008 * tick + 0.001)
+        self.assertEqual(self.eval().reading[0], MASKED)
+        self.assertAlmostEqual(self.eval().position[0, 0], 0.7025)
+
+    def test_another_context_is_another_history(self):
+        other = self.context.Clone()
+        self.simulator.AdvanceTo(0.1)
+        self.fix_scan(make_scan(0.5, time=0.09))
+        self.simulator.AdvanceTo(0.105)
+        self.assertEqual(self.eval().scan.sequence, 0)
+        self.assertEqual(self.eval(context=other).scan.sequence, -1)
+
+
+if __name__ == "__main__":
+    unittest.main()

@@ -1,0 +1,266 @@
+import unittest
+
+import numpy as np
+from pydrake.common.value import Value
+from pydrake.common.yaml import yaml_load_typed
+from pydrake.geometry import (
+    Box,
+    FramePoseVector,
+    GeometryFrame,
+    GeometryInstance,
+    PerceptionProperties,
+    SceneGraph,
+    Sphere,
+)
+from pydrake.math import RigidTransform, RotationMatrix
+from pydrake.systems.analysis import Simulator
+from pydrake.systems.framework import DiagramBuilder, LeafSystem
+from pydrake.systems.primitives import ConstantVectorSource
+
+from tofssm_drake.errors import UserError
+from tofssm_drake.geometry.ray_caster import RayCaster
+from tofssm_drake.messages import RingScan
+import tofssm_drake.sensing.tof_ring as mut
+from tofssm_drake.sensing.vl53l1x import (
+    NOISE_DRAWS,
+    SensorErrors,
+    TofSensorConfig,
+)
+
+SPEED = 0.5
+RADIUS = 0.1
+
+
+class MovingSphere(LeafSystem):
+    """A sphere on the x axis: its near side is at 1 m - SPEED t."""
+
+    def __init__(self, scene_graph):
+        super().__init__()
+        self.source_id = scene_graph.RegisterSource("sphere")
+        self.frame_id = scene_graph.RegisterFrame(
+            self.source_id, GeometryFrame("sphere")
+        )
+        geometry = GeometryInstance(RigidTransform(), Sphere(RADIUS), "sphere")
+        geometry.set_perception_properties(PerceptionProperties())
+        scene_graph.RegisterGeometry(self.source_id, self.frame_id, geometry)
+        self.DeclareAbstractOutputPort(
+            "pose",
+            Value(FramePoseVector()).Clone,
+            self.calc_pose,
+            prerequisites_of_calc={self.time_ticket()},
+        )
+
+    def calc_pose(self, context, output):
+        poses = FramePoseVector()
+        x = 1.0 + RADIUS - SPEED * context.get_time()
+        poses.set_value(self.frame_id, RigidTransform([x, 0.0, 0.0]))
+        output.set_value(poses)
+
+
+def make_X_WS(n=8, radius=0.0):
+    rotations = [
+        RotationMatrix.MakeZRotation(2 * np.pi * i / n) for i in range(n)
+    ]
+    return [RigidTransform(R, R @ [radius, 0, 0]) for R in rotations]
+
+
+def make_cell(config, *, phase=0.0, errors=None, noise=0.0, housing=False):
+    """A ring at the world's origin and a sphere that comes along x."""
+    builder = DiagramBuilder()
+    scene_graph = builder.AddSystem(SceneGraph())
+    sphere = builder.AddSystem(MovingSphere(scene_graph))
+    builder.Connect(
+        sphere.GetOutputPort("pose"),
+        scene_graph.get_source_pose_port(sphere.source_id),
+    )
+    excluded = []
+    if housing:
+        box = GeometryInstance(RigidTransform(), Box(0.2, 0.2, 0.2), "housing")
+        box.set_perception_properties(PerceptionProperties())
+        excluded.append(
+            scene_graph.RegisterGeometry(
+                sphere.source_id, scene_graph.world_frame_id(), box
+            )
+        )
+    caster = RayCaster(scene_graph.model_inspector())
+    bundles = mut.make_ring_bundles(
+        config=config,
+        caster=caster,
+        frame_id=scene_graph.world_frame_id(),
+        X_FS=make_X_WS(),
+        excluded=excluded,
+    )
+    ring = builder.AddNamedSystem(
+        "ring",
+        mut.TofRing(
+            config=config,
+            caster=caster,
+            bundles=bundles,
+            errors=errors,
+            phase=phase,
+        ),
+    )
+    builder.Connect(
+        scene_graph.get_query_output_port(), ring.GetInputPort("geometry_query")
+    )
+    if noise is not None:
+        source = builder.AddSystem(
+            ConstantVectorSource(np.full(8 * NOISE_DRAWS, noise))
+        )
+        builder.Connect(source.get_output_port(), ring.GetInputPort("noise"))
+    builder.ExportOutput(ring.GetOutputPort("scan"), "scan")
+    return builder.Build()
+
+
+def make_ideal(**settings):
+    return mut.TofRingConfig(
+        sensor=TofSensorConfig(ideal=True), readout_time=0.005, **settings
+    )
+
+
+class TestConfig(unittest.TestCase):
+    def test_defaults(self):
+        dut = mut.TofRingConfig()
+        dut.check("rings")
+        self.assertAlmostEqual(dut.period, 0.024)
+        self.assertAlmostEqual(dut.latency, 0.015)
+
+    def test_loads_and_checks(self):
+        dut = yaml_load_typed(
+            schema=mut.TofRingConfig,
+            data="{fov_deg: 15, sensor: {timing_budget: 0.033}}",
+        )
+        self.assertAlmostEqual(dut.period, 0.037)
+        for name, bad in (
+            ("fov_deg", 0.0),
+            ("rays_per_sensor", 0),
+            ("period_overhead", -0.1),
+            ("readout_time", np.inf),
+        ):
+            with self.assertRaisesRegex(UserError, f"here.{name}: .*use"):
+                mut.TofRingConfig(**{name: bad}).check("here")
+        dut.sensor.dropout = 2.0
+        with self.assertRaisesRegex(UserError, r"here\.sensor\.dropout"):
+            dut.check("here")
+
+
+class TestTofRing(unittest.TestCase):
+    def run_until(self, diagram, times):
+        simulator = Simulator(diagram)
+        port = diagram.GetOutputPort("scan")
+        scans = []
+        for time in times:
+            simulator.AdvanceTo(time)
+            scans.append(port.Eval(simulator.get_context()))
+        return scans
+
+    def test_nothing_before_the_first_delivery(self):
+        scans = self.run_until(
+            make_cell(make_ideal(), noise=None), [0.0, 0.0149, 0.0151]
+        )
+        self.assertEqual([s.sequence for s in scans], [-1, -1, 0])
+        self.assertIsInstance(scans[0], RingScan)
+
+    def test_scan_tells_what_was_there_at_its_own_time(self):
+        for phase in (0.0, 0.008):
+            scans = self.run_until(
+                make_cell(make_ideal(), phase=phase, noise=None),
+                np.arange(1, 100) * 0.005 + 1e-4,
+            )
+            seen = {s.sequence: s for s in scans if s.sequence >= 0}
+            self.assertEqual(list(seen), list(range(len(seen))))
+            for sequence, scan in seen.items():
+                time = phase + 0.024 * sequence
+                np.testing.assert_allclose(scan.sensor_time, time)
+                self.assertAlmostEqual(scan.time, time + 0.015)
+                self.assertAlmostEqual(
+                    scan.distance[0], 1.0 - SPEED * time, delta=1e-9
+                )
+                self.assertEqual(scan.status[0], 0)
+                self.assertTrue((scan.status[1:] == 2).all())
+
+    def test_latency_may_exceed_the_period(self):
+        config = make_ideal()
+        config.readout_time = 0.060
+        step = 0.004
+        times = np.arange(1, 100) * step + 1e-4
+        scans = self.run_until(make_cell(config, noise=None), times)
+        for time, scan in zip(times, scans, strict=True):
+            # The newest that was taken a latency ago.
+            expected = int(np.floor((time - 0.070) / 0.024 + 1e-9))
+            self.assertEqual(scan.sequence, max(expected, -1))
+            if scan.sequence >= 0:
+                self.assertAlmostEqual(scan.sensor_time[0], 0.024 * expected)
+
+    def test_capture_and_delivery_at_the_same_time(self):
+        for readout, behind in ((0.014, 1), (0.038, 2)):
+            config = make_ideal()
+            config.readout_time = readout
+            scans = self.run_until(
+                make_cell(config, noise=None), 0.024 * np.arange(5, 15) + 1e-4
+            )
+            self.assertEqual(
+                [s.sequence for s in scans],
+                list(range(5 - behind, 15 - behind)),
+            )
+
+    def test_starting_late_delivers_nothing_early(self):
+        config = make_ideal()
+        config.readout_time = 0.060
+        diagram = make_cell(config, noise=None)
+        simulator = Simulator(diagram)
+        simulator.get_mutable_context().SetTime(0.1)
+        simulator.Initialize()
+        port = diagram.GetOutputPort("scan")
+        for time in np.arange(0.101, 0.4, 0.003):
+            simulator.AdvanceTo(time)
+            scan = port.Eval(simulator.get_context())
+            if scan.sequence >= 0:
+                self.assertGreaterEqual(
+                    time - scan.sensor_time[0], 0.070 - 1e-6
+                )
+                self.assertLess(time - scan.sensor_time[0], 0.094 + 0.003)
+        self.assertGreater(scan.sequence, 5)
+
+    def test_does_not_see_its_own_housing(self):
+        scan = self.run_until(
+            make_cell(make_ideal(), noise=None, housing=True), [0.02]
+        )[0]
+        self.assertAlmostEqual(scan.distance[0], 1.0)
+        self.assertTrue((scan.status[1:] == 2).all())
+
+    def test_real_sensors_use_noise_and_errors(self):
+        config = mut.TofRingConfig()
+        errors = SensorErrors(bias=np.full(8, 0.01), gain=np.ones(8))
+        scan = self.run_until(
+            make_cell(config, errors=errors, noise=0.0), [0.02]
+        )[0]
+        self.assertAlmostEqual(scan.distance[0], 1.01)
+        noisy = self.run_until(
+            make_cell(config, errors=errors, noise=1.0), [0.02]
+        )[0]
+        self.assertAlmostEqual(noisy.distance[0], 1.012, delta=1e-9)
+
+    def test_noise_must_be_connected_unless_ideal(self):
+        with self.assertRaisesRegex(RuntimeError, "noise"):
+            self.run_until(make_cell(mut.TofRingConfig(), noise=None), [0.02])
+
+    def test_rejects_errors_of_another_ring(self):
+        with self.assertRaisesRegex(ValueError, "8 sensors"):
+            make_cell(
+                make_ideal(),
+                errors=SensorErrors(bias=np.zeros(16), gain=np.ones(16)),
+            )
+
+    def test_rejects_bad_phase(self):
+        with self.assertRaisesRegex(UserError, "phase"):
+            make_cell(make_ideal(), phase=-0.1)
+
+    def test_scan_is_state(self):
+        diagram = make_cell(make_ideal(), noise=None)
+        ring = diagram.GetSubsystemByName("ring")
+        self.assertFalse(ring.HasAnyDirectFeedthrough())
+
+
+if __name__ == "__main__":
+    unittest.main()

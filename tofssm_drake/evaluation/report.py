@@ -1,0 +1,471 @@
+"""The report of one run: a single file that any browser opens, offline."""
+
+import dataclasses as dc
+import importlib.resources
+import math
+from pathlib import Path
+
+import jinja2
+import numpy as np
+
+from tofssm_drake.evaluation import figures
+from tofssm_drake.evaluation.metrics import (
+    Contact,
+    StateEvent,
+    find_contacts,
+    find_state_events,
+)
+from tofssm_drake.evaluation.samples import Samples, write_atomically
+from tofssm_drake.messages import RobotState
+
+_EVENTS_SHOWN = 25
+_NONE = "\u2013"
+
+_CONFIGURATION = {
+    "vo": (
+        "Vo",
+        "directed relative speed of robot and person, as the rings measure it",
+    ),
+    "vr": ("Vr", "directed speed of the robot alone"),
+    "sm": ("SM", "fixed distances, whatever the speeds"),
+}
+
+# Walking person at 1.6 m/s; ISO/TS 15066, 5.5.4, against the paper's d_C.
+_SHORTFALL = {
+    "vo": "0.12 to 0.22 m",
+    "vr": "0.52 to 0.62 m",
+    "sm": "0.60 to 1.11 m",
+}
+
+
+@dc.dataclass(frozen=True, kw_only=True)
+class Figure:
+    """A picture of the report in its two widths."""
+
+    wide: str
+    narrow: str
+    description: str
+
+
+@dc.dataclass(frozen=True, kw_only=True)
+class Headline:
+    """One number in the row at the top."""
+
+    value: str
+    label: str
+    note: str = ""
+
+
+def format_number(value, digits: int = 2, unit: str = "") -> str:
+    """Returns a number for a reader.
+
+    Args:
+        value: The number; None and NaN become an en dash, infinities
+            "clear", because that is what an infinite distance means here.
+        digits: Digits after the decimal point.
+        unit: Appended after a no-break space.
+    """
+    if value is None or (isinstance(value, float) and math.isnan(value)):
+        return _NONE
+    if isinstance(value, float) and math.isinf(value):
+        return "clear"
+    text = f"{value:.{digits}f}"
+    return f"{text}\u00a0{unit}" if unit else text
+
+
+def count_of(count: int, noun: str) -> str:
+    """Returns "no stops", "1 stop", "2 stops"."""
+    if count == 1:
+        return f"1 {noun}"
+    return f"{count or 'no'} {noun}s"
+
+
+def make_verdict(summary: dict, *, products: int) -> list[tuple[str, str]]:
+    """Says in plain words how the run went.
+
+    Args:
+        summary: What `calc_summary` returned.
+        products: Products of the task.
+
+    Returns:
+        (grade, sentence) pairs; grade is `good`, `bad` or `note`.
+    """
+    verdict = []
+    contacts = summary["contact_while_moving_events"]
+    least = summary["min_true_distance_m"]
+    if contacts:
+        verdict.append(
+            (
+                "bad",
+                f"The moving robot touched the person: "
+                f"{count_of(contacts, 'contact')}, at up to "
+                f"{summary['contact_while_moving_max_mps']:.2f} m/s.",
+            )
+        )
+    elif least is None:
+        verdict.append(("note", "Nobody was in the cell."))
+    elif least <= 0.0:
+        verdict.append(
+            (
+                "good",
+                "The robot never touched the person while it moved. They did "
+                "touch while it stood still: the person walked into it.",
+            )
+        )
+    else:
+        verdict.append(
+            (
+                "good",
+                "The robot never touched the person. The nearest they came "
+                f"was {least:.2f} m.",
+            )
+        )
+    placed, time = summary["products_placed"], summary["task_time_s"]
+    if time is not None:
+        verdict.append(
+            ("good", f"All {products} products were placed in {time:.1f} s.")
+        )
+    else:
+        verdict.append(
+            (
+                "note",
+                f"{placed} of {products} products were placed in the "
+                f"{summary['simulated_s']:.1f} s that were simulated.",
+            )
+        )
+    stops, reductions = summary["stop_events"], summary["reduce_events"]
+    if stops or reductions:
+        verdict.append(
+            (
+                "note",
+                f"The rings stopped the robot {_times(stops)} "
+                f"({summary['stopped_s']:.1f} s in all) and slowed it "
+                f"{_times(reductions)} ({summary['reduced_s']:.1f} s at "
+                "half speed).",
+            )
+        )
+    else:
+        verdict.append(("note", "Nothing stopped or slowed the robot."))
+    return verdict
+
+
+def _times(count):
+    return {0: "never", 1: "once", 2: "twice"}.get(count, f"{count} times")
+
+
+def _make_headlines(summary, products):
+    def number(name, digits, unit):
+        return format_number(summary.get(name), digits, unit)
+
+    rmse = summary.get("distance_rmse_m")
+    shares = [
+        share
+        for share in summary.get("detection_share_by_ring", {}).values()
+        if share is not None
+    ]
+    return [
+        Headline(
+            value=f"{summary['products_placed']} of {products}",
+            label="products placed",
+            note=(
+                f"in {number('task_time_s', 1, 's')}"
+                if summary["task_time_s"] is not None
+                else f"in {number('simulated_s', 1, 's')}, not finished"
+            ),
+        ),
+        Headline(
+            value=str(summary["contact_while_moving_events"]),
+            label="contacts while moving",
+            note="touching faster than 0.01 m/s",
+        ),
+        Headline(
+            value=number("min_true_distance_m", 2, "m"),
+            label="least true distance",
+            note="robot's surface to person's",
+        ),
+        Headline(
+            value=str(summary["stop_events"]),
+            label="stops",
+            note=f"{number('stopped_s', 1, 's')} stopped",
+        ),
+        Headline(
+            value=str(summary["reduce_events"]),
+            label="reductions",
+            note=f"{number('reduced_s', 1, 's')} at half speed",
+        ),
+        Headline(
+            value=number("max_tcp_speed_mps", 2, "m/s"),
+            label="fastest tool",
+        ),
+        Headline(
+            value=(_NONE if rmse is None else f"{1000 * rmse:.0f}\u00a0mm"),
+            label="distance error (RMSE)",
+            note="rings against truth, in range",
+        ),
+        Headline(
+            value=(f"{100 * np.mean(shares):.0f}\u00a0%" if shares else _NONE),
+            label="person in range and seen",
+            note="mean of the rings, over time",
+        ),
+    ]
+
+
+def describe_contact(contact: Contact) -> list[str]:
+    """Tells one contact in sentences: what, how fast, and who saw it."""
+    text = [
+        f"At {contact.time:.2f} s the robot's {_words(contact.robot_body)} "
+        f"touched the person's {_words(contact.person_part)} while moving at "
+        f"{contact.first_speed:.2f} m/s (at most {contact.max_speed:.2f} m/s "
+        f"over the {contact.duration:.2f} s of the contact). The robot was "
+        f"in state {figures.STATE_NAME[contact.robot_state]}."
+    ]
+    if not contact.blind:
+        seen = " and ".join(v.ring for v in contact.views if v.seen)
+        text.append(
+            f"The person was seen then (by {seen}): this is no blind gap, "
+            "the robot had not come to rest yet."
+        )
+    else:
+        ago = (
+            "no ring had seen the person before"
+            if math.isinf(contact.last_seen)
+            else f"a ring last saw the person {contact.last_seen:.2f} s before"
+        )
+        text.append(
+            f"No sensor of any ring saw the person there: a blind gap; {ago}."
+        )
+    text += [describe_view(view) for view in contact.views]
+    return text
+
+
+def describe_view(view) -> str:
+    """Tells what one ring made of the person at a contact."""
+    if math.isnan(view.measured_distance):
+        read = "had no scan"
+    elif math.isinf(view.measured_distance):
+        read = "read clear"
+    else:
+        read = f"read {view.measured_distance:.2f} m"
+    text = (
+        f"{view.ring} ring {read}; the person's nearest point was "
+        f"{max(view.true_distance, 0):.2f} m from its centre"
+    )
+    if view.sensors is not None:
+        azimuth = math.degrees(view.azimuth) % 360
+        elevation = math.degrees(view.elevation)
+        text += (
+            f", at {azimuth:.0f}° around the link and {elevation:+.0f}° along "
+            f"it, between sensors {view.sensors[0]} and {view.sensors[1]}"
+        )
+        off = math.degrees(view.off_beam)
+        if off > 0:
+            text += f", {off:.0f}° outside the nearest beam"
+        else:
+            text += f", {-off:.0f}° inside a beam"
+    return f"{text}."
+
+
+def _words(name):
+    return name.replace("_link", "").replace("_", " ").strip()
+
+
+def _make_contact(contact, samples):
+    geometry = samples.metadata.get("ring_geometry", {})
+    diagrams = [
+        figures.to_data_uri(
+            figures.make_ring_diagram(
+                beam_azimuth=np.array(geometry[view.ring]["azimuth"]),
+                fov=geometry[view.ring]["fov"],
+                radius=geometry[view.ring]["radius"],
+                azimuth=view.azimuth,
+                distance=view.true_distance,
+                label=f"{view.ring} ring",
+            )
+        )
+        for view in contact.views
+        if view.sensors is not None
+    ]
+    first, *rest = describe_contact(contact)
+    return {
+        "lead": first,
+        "rest": rest[0],
+        "views": rest[1:],
+        "diagrams": diagrams,
+    }
+
+
+def _make_event_row(event: StateEvent):
+    name = figures.STATE_NAME
+    ring = event.ring or _NONE
+    return {
+        "time": f"{event.time:.2f}",
+        "kind": event.kind,
+        "change": f"{name[event.before]} → {name[event.after]}",
+        "ring": ring,
+        "measured": format_number(event.measured_distance),
+        "true": (
+            "nobody"
+            if math.isinf(event.true_distance)
+            else format_number(max(event.true_distance, 0.0))
+        ),
+        "speed": format_number(event.tcp_speed),
+        "duration": f"{event.duration:.2f}",
+        "reason": event.reason,
+    }
+
+
+def _make_both(make, description, *args, **options) -> Figure:
+    return Figure(
+        wide=figures.to_data_uri(make(*args, **options)),
+        narrow=figures.to_data_uri(make(*args, narrow=True, **options)),
+        description=description,
+    )
+
+
+def _make_figures(samples, events, contacts):
+    result = {
+        "timeline": _make_both(
+            figures.make_timeline,
+            "Robot state, tool speed with speed fraction, and measured and "
+            "true distance with the thresholds, over the time of the run.",
+            samples,
+        ),
+        "plan": _make_both(
+            figures.make_plan,
+            "The cell from above: tables, robot base, path of the tool, and "
+            "path of the person drawn in the colour of the robot's state.",
+            samples,
+        ),
+        "rings": _make_both(
+            figures.make_rings,
+            "For each ring: measured and true distance with the thresholds, "
+            "and every sensor's readings over time.",
+            samples,
+        ),
+    }
+    closeup = figures.find_closeup(events, contacts)
+    if closeup is not None:
+        time, what = closeup
+        result["closeup"] = _make_both(
+            figures.make_closeup,
+            f"The same three curves around {what}.",
+            samples,
+            time,
+        )
+        result["closeup_title"] = what
+    return result
+
+
+def make_report(samples: Samples, summary: dict) -> str:
+    """Returns the report as one HTML document.
+
+    Args:
+        samples: The run. Of `metadata` it reads what is there of
+            `scenario_name`, `scenario` (text), `ssm`, `human`, `products`,
+            `seed`, `sensors_per_ring`, `versions`, `command`, `plan`,
+            `ring_geometry`, `robot_bodies`, `person_parts`, `interrupted`.
+        summary: What `calc_summary` returned, with whatever else the run's
+            `summary.json` holds (`real_time_factor`).
+    """
+    metadata = samples.metadata
+    products = int(metadata.get("products", 10))
+    events = find_state_events(samples)
+    contacts = find_contacts(samples)
+    rows = [_make_event_row(e) for e in events]
+    ssm = str(metadata.get("ssm", "")).lower()
+    environment = jinja2.Environment(
+        autoescape=True,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        undefined=jinja2.StrictUndefined,
+    )
+    template = environment.from_string(
+        importlib.resources.files("tofssm_drake.evaluation")
+        .joinpath("report.html.jinja")
+        .read_text(encoding="utf-8")
+    )
+    has_samples = len(samples) > 1
+    return template.render(
+        interrupted=bool(metadata.get("interrupted")),
+        scenario=metadata.get("scenario", ""),
+        versions=metadata.get("versions", {}),
+        name=metadata.get("scenario_name", "run"),
+        products=products,
+        summary=summary,
+        verdict=make_verdict(summary, products=products),
+        headlines=_make_headlines(summary, products),
+        configuration=_CONFIGURATION.get(ssm),
+        shortfall=_SHORTFALL.get(ssm),
+        figures=(
+            _make_figures(samples, events, contacts) if has_samples else {}
+        ),
+        has_samples=has_samples,
+        events=rows[:_EVENTS_SHOWN],
+        more_events=rows[_EVENTS_SHOWN:],
+        contacts=[_make_contact(c, samples) for c in contacts],
+        rings=_make_ring_rows(samples, summary),
+        facts=_make_facts(samples, summary),
+    )
+
+
+def _make_ring_rows(samples, summary):
+    rows = []
+    for ring in samples.rings:
+        share = summary.get("detection_share_by_ring", {}).get(ring)
+        rmse = summary.get("distance_rmse_by_ring_m", {}).get(ring)
+        state = samples[f"{ring}_state"]
+        masked = samples[f"{ring}_masked"].astype(float)
+        rows.append(
+            {
+                "name": ring,
+                "rmse": _NONE if rmse is None else f"{1000 * rmse:.0f} mm",
+                "share": _NONE if share is None else f"{100 * share:.0f} %",
+                "ghost": format_number(
+                    summary.get("ghost_s_by_ring", {}).get(ring), 1, "s"
+                ),
+                "masked": format_number(
+                    float(masked.mean()) if len(masked) else None, 1
+                ),
+                "faulted": int(samples[f"{ring}_faulted"].max(initial=0)),
+                "stop": _percent(state == RobotState.STOP),
+            }
+        )
+    return rows
+
+
+def _percent(flags):
+    return f"{100 * np.mean(flags):.0f} %" if len(flags) else _NONE
+
+
+def _make_facts(samples, summary):
+    """What was run, as (term, value) pairs."""
+    metadata = samples.metadata
+    facts = [("Scenario", metadata.get("scenario_name"))]
+    for term, key in (
+        ("Person", "human"),
+        ("Sensors per ring", "sensors_per_ring"),
+        ("Seed", "seed"),
+        ("Command", "command"),
+    ):
+        if metadata.get(key) is not None:
+            facts.append((term, metadata[key]))
+    facts.append(("Simulated", format_number(summary["simulated_s"], 1, "s")))
+    factor = summary.get("real_time_factor")
+    if factor is not None:
+        facts.append(("Computed", f"{factor:.0f} times faster than real time"))
+    return [(term, str(value)) for term, value in facts if value is not None]
+
+
+def write_report(samples: Samples, summary: dict, path: Path) -> None:
+    """Writes `make_report` to a file, whole or not at all.
+
+    Args:
+        samples: The run.
+        summary: Its numbers, see `make_report`.
+        path: The HTML file.
+
+    Raises:
+        UserError: if it cannot be written.
+    """
+    text = make_report(samples, summary)
+    write_atomically(Path(path), lambda p: p.write_text(text, "utf-8"))

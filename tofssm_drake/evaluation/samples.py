@@ -1,0 +1,298 @@
+"""What a run leaves behind: one table of samples and one of scans.
+
+`samples.parquet` has one row per control tick, `scans.parquet` one per ring
+scan. All metrics and figures are computed from these two files, so that a
+recording of real hardware gives them as well.
+
+Conventions, here and in the files:
+
+- SI units; angles in radians; positions in world.
+- `inf` means *nothing there*: a clear ring's `measured_distance`, a
+  `true_distance` without a person, a threshold that no distance can exceed
+  because there was no sample yet.
+- `NaN` means *not known*: the `measured_distance` of a ring that has not
+  delivered a scan yet, witness points and closing speeds without a person.
+- States and readings are small integers (`RobotState`, `RingHealth`,
+  `Reading` of `tofssm_drake.messages`); -1 means *none* for indices.
+"""
+
+import dataclasses as dc
+import json
+import os
+from pathlib import Path
+import tempfile
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from tofssm_drake.errors import UserError
+from tofssm_drake.messages import RINGS
+
+_KEY = b"tofssm"
+
+RING_COLUMNS = (
+    "state",
+    "measured_distance",
+    "true_distance",
+    "closing_speed",
+    "d_C",
+    "d_R",
+    "dsi_raw",
+    "dsi",
+    "dsi_C",
+    "dsi_R",
+    "clear",
+    "valid",
+    "masked",
+    "faulted",
+    "sensor",
+    "health",
+    "sequence",
+    "sample_time",
+    "true_azimuth",
+    "true_elevation",
+)
+"""Per-ring columns; in the table each has the ring's name in front."""
+
+_INTEGERS = {
+    "robot_state": np.int8,
+    "products_placed": np.int16,
+    "robot_body": np.int16,
+    "person_part": np.int16,
+    "state": np.int8,
+    "clear": np.int8,
+    "valid": np.int8,
+    "masked": np.int8,
+    "faulted": np.int8,
+    "sensor": np.int8,
+    "health": np.int8,
+    "sequence": np.int32,
+}
+
+
+@dc.dataclass(kw_only=True)
+class Samples:
+    """A run's recorded columns with what is needed to read them.
+
+    Attributes:
+        column: Arrays of equal length by name, one element per tick.
+        scan: Per ring: `time` (k,), when each of k scans was first seen by
+            the recorder, s; `distance` (k, n), m, inf where clear and NaN
+            where faulted; `reading` (k, n).
+        metadata: Plain values (JSON): `rings`, `robot_bodies`,
+            `person_parts`, `scenario`, `seed`, ...
+    """
+
+    column: dict[str, np.ndarray]
+    scan: dict[str, dict[str, np.ndarray]] = dc.field(default_factory=dict)
+    metadata: dict = dc.field(default_factory=dict)
+
+    def __getitem__(self, name: str) -> np.ndarray:
+        return self.column[name]
+
+    def __contains__(self, name: str) -> bool:
+        return name in self.column
+
+    def __len__(self) -> int:
+        return len(self.column["t"])
+
+    @property
+    def rings(self) -> tuple[str, ...]:
+        """Names of the watched links, in column order."""
+        return tuple(self.metadata.get("rings", RINGS))
+
+    def ring(self, name: str) -> np.ndarray:
+        """Returns the column `name` of every ring, shape (rows, m)."""
+        return np.stack(
+            [self.column[f"{ring}_{name}"] for ring in self.rings], axis=1
+        )
+
+
+def make_ring_metadata(
+    *, azimuth, fov: float, radius: float, max_range: float
+) -> dict:
+    """Describes one ring for the report.
+
+    Args:
+        azimuth: Angle of each sensor's beam about the ring's axis, rad, (n,).
+        fov: Full cone angle of one sensor, rad.
+        radius: Radius of the circle on which the sensors sit, m.
+        max_range: Distance that a sensor reports at most, m.
+
+    Returns:
+        A plain value for `Samples.metadata["ring_geometry"][ring]`.
+    """
+    return {
+        "azimuth": [float(a) for a in np.ravel(azimuth)],
+        "fov": float(fov),
+        "radius": float(radius),
+        "max_range": float(max_range),
+    }
+
+
+def narrow_type(kind: str, values: np.ndarray) -> np.ndarray:
+    """Returns the values in the type in which such a column is stored.
+
+    Args:
+        kind: Name of the column, without the ring's name in front.
+        values: Floating-point values.
+
+    Returns:
+        A copy: integers for states, counts and indices.
+    """
+    if kind in _INTEGERS:
+        return np.round(values).astype(_INTEGERS[kind])
+    return np.array(values)
+
+
+def write_atomically(path: Path, write) -> None:
+    """Calls `write(temporary)` and then moves the file to `path`.
+
+    Whoever reads `path` sees the old file, the new file or none, never half
+    of one.
+
+    Raises:
+        UserError: if the folder cannot be written.
+    """
+    path = Path(path)
+    try:
+        handle, name = tempfile.mkstemp(
+            prefix=f".{path.name}.", suffix=".part", dir=path.parent
+        )
+    except OSError as error:
+        raise UserError(f"{path}: cannot be written: {error}") from error
+    os.close(handle)
+    temporary = Path(name)
+    try:
+        write(temporary)
+        # mkstemp makes private files; a result is for everyone to read.
+        umask = os.umask(0)
+        os.umask(umask)
+        temporary.chmod(0o666 & ~umask)
+        temporary.replace(path)
+    except OSError as error:
+        raise UserError(f"{path}: cannot be written: {error}") from error
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def write_samples(samples: Samples, folder: Path) -> list[Path]:
+    """Writes `samples.parquet` and `scans.parquet` into the folder.
+
+    Args:
+        samples: What to write.
+        folder: An existing folder.
+
+    Returns:
+        The two paths.
+
+    Raises:
+        UserError: if the folder cannot be written.
+    """
+    folder = Path(folder)
+    metadata = {_KEY: json.dumps(samples.metadata, sort_keys=True).encode()}
+    columns = {
+        name: _to_arrow(values) for name, values in samples.column.items()
+    }
+    table = pa.table(columns).replace_schema_metadata(metadata)
+    paths = [folder / "samples.parquet", folder / "scans.parquet"]
+    write_atomically(
+        paths[0], lambda p: pq.write_table(table, p, compression="zstd")
+    )
+    scans = _make_scan_table(samples).replace_schema_metadata(metadata)
+    write_atomically(
+        paths[1], lambda p: pq.write_table(scans, p, compression="zstd")
+    )
+    return paths
+
+
+def read_samples(path: Path) -> Samples:
+    """Reads what `write_samples` wrote.
+
+    Args:
+        path: `samples.parquet`, or the folder that holds it. A missing
+            `scans.parquet` beside it leaves `scan` empty.
+
+    Returns:
+        The samples.
+
+    Raises:
+        UserError: if the file is missing or is not such a table.
+    """
+    path = Path(path)
+    if path.is_dir():
+        path = path / "samples.parquet"
+    table = _read_table(path)
+    if "t" not in table.column_names:
+        raise UserError(f"{path}: not a table of samples: no column `t`")
+    metadata = json.loads((table.schema.metadata or {}).get(_KEY, b"{}"))
+    column = {
+        name: np.asarray(table[name].to_numpy()) for name in table.column_names
+    }
+    samples = Samples(column=column, metadata=metadata)
+    scans = path.with_name("scans.parquet")
+    if scans.exists():
+        samples.scan = _split_scan_table(_read_table(scans), samples.rings)
+    return samples
+
+
+def _read_table(path):
+    try:
+        return pq.read_table(path)
+    except (OSError, pa.ArrowInvalid) as error:
+        reason = str(error).splitlines()[0]
+        raise UserError(f"{path}: cannot be read: {reason}") from error
+
+
+def _to_arrow(values):
+    if values.dtype == object:
+        return pa.array(values, type=pa.string()).dictionary_encode()
+    return pa.array(values)
+
+
+def _make_scan_table(samples):
+    time, ring, distance, reading = [], [], [], []
+    for name, scan in samples.scan.items():
+        k = len(scan["time"])
+        time.append(scan["time"])
+        ring += [name] * k
+        distance += list(scan["distance"])
+        reading += list(scan["reading"])
+    time = np.concatenate(time) if time else np.empty(0)
+    order = np.argsort(time, kind="stable")
+    return pa.table(
+        {
+            "t": time[order],
+            "ring": pa.array(
+                [ring[i] for i in order], type=pa.string()
+            ).dictionary_encode(),
+            "distance": pa.array(
+                [distance[i] for i in order], type=pa.list_(pa.float32())
+            ),
+            "reading": pa.array(
+                [reading[i] for i in order], type=pa.list_(pa.int8())
+            ),
+        }
+    )
+
+
+def _split_scan_table(table, rings):
+    ring = np.asarray(table["ring"].to_pylist(), dtype=object)
+    time = table["t"].to_numpy()
+    result = {}
+    for name in rings:
+        rows = np.flatnonzero(ring == name)
+        part = table.take(rows)
+        result[name] = {
+            "time": time[rows],
+            "distance": _to_matrix(part["distance"], np.float32),
+            "reading": _to_matrix(part["reading"], np.int8),
+        }
+    return result
+
+
+def _to_matrix(column, dtype):
+    rows = len(column)
+    flat = column.combine_chunks().flatten().to_numpy(zero_copy_only=False)
+    return np.asarray(flat, dtype=dtype).reshape(rows, -1 if rows else 0)

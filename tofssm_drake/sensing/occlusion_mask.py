@@ -1,0 +1,593 @@
+"""The occlusion mask: which sensors see the robot itself or its cell."""
+
+from collections.abc import Collection, Sequence
+import dataclasses as dc
+import functools
+import math
+from typing import Protocol
+
+from numba import njit
+import numpy as np
+from pydrake.common.value import Value
+from pydrake.geometry import FrameId, GeometryId
+from pydrake.math import RigidTransform
+from pydrake.systems.framework import Context, LeafSystem, State
+
+from tofssm_drake.errors import require
+from tofssm_drake.geometry.ray_caster import RayBundles, RayCaster
+from tofssm_drake.messages import RINGS, MaskedScan, Reading, RingScan
+from tofssm_drake.sensing.readings import (
+    calc_self_interval,
+    classify_readings,
+)
+from tofssm_drake.sensing.tof_ring import TofRingConfig, make_ring_bundles
+from tofssm_drake.sensing.vl53l1x import STATUS_NO_NEW_DATA, check_range
+
+
+@dc.dataclass(kw_only=True)
+class OcclusionMaskConfig:
+    """Which readings count as the robot's own."""
+
+    # False: nothing is masked, the robot stops at the sight of itself.
+    enabled: bool = True
+
+    # Standard deviation of a reading on the robot or its cell, m: readings
+    # within 3 sigma of the expected ones are masked. 3 sigma covers the
+    # datasheet's +-25 mm with 5 mm to spare for a sensor whose constant error
+    # is at its bound.
+    sigma: float = 0.010
+
+    # Rays that stand for a sensor's cone; 0: as many as the ring's.
+    rays_per_sensor: int = 0
+
+    # Below this distance a sensor detects but can not measure, m: such a
+    # target is as near as possible.
+    min_range: float = 0.040
+
+    # A reading beyond this distance is implausible, m: no mode of the sensor
+    # reaches farther.
+    max_range: float = 4.0
+
+    # A sample older than this is stale and the sensor faulted, s (*assumed*:
+    # three periods of a ring).
+    max_age: float = 0.072
+
+    # Control tick, s: joints are remembered and scans looked at once a tick.
+    period: float = 0.008
+
+    @property
+    def tolerance(self) -> float:
+        """By how much the expected interval is widened to each side, m."""
+        return 3.0 * self.sigma
+
+    def check(self, where: str) -> None:
+        """Raises UserError unless every setting is within its limits."""
+        check_range(where, "sigma", self.sigma, 0.0, 0.1)
+        check_range(where, "rays_per_sensor", self.rays_per_sensor, 0, 10000)
+        check_range(where, "min_range", self.min_range, 0.0, 0.2)
+        check_range(where, "max_range", self.max_range, 0.1, 65.0)
+        check_range(where, "max_age", self.max_age, 0.001, 10.0)
+        check_range(where, "period", self.period, 1e-4, 0.1)
+        require(
+            self.max_age >= self.period,
+            f"{where}.max_age: {self.max_age} is shorter than the control "
+            f"tick of {self.period}",
+        )
+
+
+def make_mask_bundles(
+    *,
+    config: OcclusionMaskConfig,
+    ring_config: TofRingConfig,
+    caster: RayCaster,
+    frame_id: FrameId,
+    X_FS: Sequence[RigidTransform],
+    excluded: Collection[GeometryId] = (),
+) -> RayBundles:
+    """Makes the rays of one ring's mask, cast on the twin.
+
+    Args:
+        config: number of rays, tolerance.
+        ring_config: field of view and range of the sensors, number of rays.
+        caster: of the twin's SceneGraph.
+        frame_id: the twin's frame F of the link that carries the ring.
+        X_FS: the sensors' poses in F.
+        excluded: the twin's geometries that no sensor of the ring sees: the
+            link that carries it.
+    """
+    if config.rays_per_sensor:
+        ring_config = dc.replace(
+            ring_config, rays_per_sensor=config.rays_per_sensor
+        )
+    return make_ring_bundles(
+        config=ring_config,
+        caster=caster,
+        frame_id=frame_id,
+        X_FS=X_FS,
+        excluded=excluded,
+        margin=config.tolerance,
+    )
+
+
+class Twin(Protocol):
+    """The monitor's own idea of the robot, what it holds, and its cell."""
+
+    def calc(
+        self, q: np.ndarray, gripper_closed: float, products_placed: float
+    ) -> np.ndarray:
+        """Returns X_WF of the mask's ray caster's frames, (frames, 3, 4)."""
+
+
+_VALID = int(Reading.VALID)
+
+# Columns of the history's table.
+_TIME, _POSITION, _VELOCITY = 0, slice(1, 7), slice(7, 13)
+_GRIPPER_CLOSED, _PRODUCTS_PLACED = 13, 14
+_COLUMNS = 15
+
+
+def make_robot_history(length: int) -> np.ndarray:
+    """Returns an empty history of what the robot reported.
+
+    Args:
+        length: h, of how many control ticks.
+
+    Returns:
+        Oldest first: time, s (-inf in unused rows), position, rad, (6),
+        velocity, rad/s, (6), gripper closed, products placed; (h, 15).
+    """
+    table = np.zeros((length, _COLUMNS))
+    table[:, _TIME] = -np.inf
+    return table
+
+
+@njit(cache=True)
+def push_report(
+    table, time, position, velocity, gripper_closed, products_placed
+):
+    """Returns a history's table with a report added and the oldest dropped."""
+    result = np.empty_like(table)
+    result[:-1] = table[1:]
+    last = result[-1]
+    last[0] = time
+    last[1:7] = position
+    last[7:13] = velocity
+    last[13] = gripper_closed
+    last[14] = products_placed
+    return result
+
+
+@njit(cache=True)
+def interpolate_reports(table, time):
+    """Returns what the robot reported for a time, as a row of the table.
+
+    Joints and their speeds are interpolated linearly; gripper and products
+    are those of the last report before. Outside of the history's span it is
+    the oldest or the newest report.
+    """
+    last = table.shape[0] - 1
+    i = last
+    while i > 0 and table[i, 0] > time and table[i - 1, 0] > -np.inf:
+        i -= 1
+    result = table[i].copy()
+    if i < last and table[i, 0] <= time:
+        s = (time - table[i, 0]) / (table[i + 1, 0] - table[i, 0])
+        for j in range(13):
+            result[j] += s * (table[i + 1, j] - table[i, j])
+    return result
+
+
+@njit(cache=True)
+def inspect_scan(sensor_time, status):
+    """Tells whether all sensors have one time, and whether any has no data.
+
+    Args:
+        sensor_time: (n,) s.
+        status: (n,) range status.
+    """
+    one_time = math.isfinite(sensor_time[0])
+    some_held = False
+    for i in range(sensor_time.shape[0]):
+        one_time = one_time and sensor_time[i] == sensor_time[0]
+        some_held = some_held or status[i] == STATUS_NO_NEW_DATA
+    return one_time, some_held
+
+
+def hold_readings(scan: RingScan, before: RingScan) -> RingScan:
+    """Puts the sample before in place of "no new data".
+
+    A ring may fire its sensors in turns, or a sensor may take longer; its
+    last sample then stands, with its own time, until it is too old.
+
+    Args:
+        scan: the new scan.
+        before: what was made of the scan before it.
+    """
+    held = scan.status == STATUS_NO_NEW_DATA
+    if before.status.shape != scan.status.shape:
+        return scan
+    return dc.replace(
+        scan,
+        sensor_time=np.where(held, before.sensor_time, scan.sensor_time),
+        distance=np.where(held, before.distance, scan.distance),
+        status=np.where(held, before.status, scan.status),
+    )
+
+
+@njit(cache=True)
+def pick_previous(
+    sensor_time,
+    before_time,
+    before_distance,
+    before_reading,
+    before_previous_distance,
+    before_previous_time,
+):
+    """Returns each sensor's sample before this one.
+
+    Args:
+        sensor_time: of the new samples, s, (n,).
+        before_time: of the samples in the scan before, s, (n,).
+        before_distance: those, m, (n,).
+        before_reading: what they meant, (n,).
+        before_previous_distance: the samples before those, m, (n,).
+        before_previous_time: when they were, s, (n,).
+
+    Returns:
+        Distance, m, (n,), NaN where it was not VALID; its time, s, (n,).
+    """
+    n = sensor_time.shape[0]
+    distance = np.full(n, np.nan)
+    time = np.empty(n)
+    for i in range(n):
+        if sensor_time[i] == before_time[i]:
+            # A sample that is held has still the same one before it.
+            distance[i] = before_previous_distance[i]
+            time[i] = before_previous_time[i]
+        else:
+            if before_reading[i] == _VALID:
+                distance[i] = before_distance[i]
+            time[i] = before_time[i]
+    return distance, time
+
+
+def mask_scan(
+    config: OcclusionMaskConfig,
+    *,
+    scan: RingScan,
+    before: MaskedScan,
+    time: float,
+    table: np.ndarray,
+    caster: RayCaster,
+    bundles: RayBundles,
+    twin: Twin,
+) -> MaskedScan:
+    """Tells what each reading of a new scan means.
+
+    Casts each sensor's rays on the twin, posed as the robot was at the
+    sample's own time, and compares (paper, Self Occlusion Detection; table
+    in `tofssm_drake.sensing.readings`).
+
+    Args:
+        config: settings.
+        scan: the new scan of n sensors.
+        before: the result for the scan before it.
+        time: now, s.
+        table: the robot's reports, see `make_robot_history`.
+        caster: of the twin.
+        bundles: the rays of the ring's n sensors, by that caster.
+        twin: gives the poses that the caster needs.
+
+    Returns:
+        The masked scan. Its `scan` is as the monitor reckons with it: 0 m for
+        a target nearer than can be measured, and the sample before where
+        there is no new data.
+    """
+    n = len(scan.status)
+    if n != bundles.num_bundles:
+        raise ValueError(
+            f"scan of {n} sensors, but the mask has {bundles.num_bundles}"
+        )
+    one_time, some_held = inspect_scan(scan.sensor_time, scan.status)
+    if some_held:
+        scan = hold_readings(scan, before.scan)
+        one_time = False
+    if before.reading.shape != (n,):
+        before = _make_nothing_before(n)
+    self_distance, reports = _cast_on_twin(
+        config, scan.sensor_time, one_time, table, caster, bundles, twin
+    )
+    (
+        reading,
+        reckoned,
+        is_other,
+        self_nearest,
+        self_farthest,
+        previous_distance,
+        previous_time,
+        position,
+        velocity,
+    ) = _interpret(
+        scan.distance,
+        scan.status,
+        scan.sensor_time,
+        self_distance,
+        reports,
+        before.scan.sensor_time,
+        before.scan.distance,
+        before.reading,
+        before.previous_distance,
+        before.previous_time,
+        time,
+        config.tolerance,
+        config.min_range,
+        config.max_range,
+        config.max_age,
+    )
+    if is_other:
+        scan = dc.replace(scan, distance=reckoned)
+    return MaskedScan(
+        scan=scan,
+        reading=reading,
+        self_nearest=self_nearest,
+        self_farthest=self_farthest,
+        previous_distance=previous_distance,
+        previous_time=previous_time,
+        position=position,
+        velocity=velocity,
+    )
+
+
+@functools.cache
+def _make_nothing_before(n):
+    """Returns the masked scan before the first of n sensors."""
+    nothing = np.full(n, np.nan)
+    return MaskedScan(
+        scan=RingScan(sensor_time=np.full(n, -np.inf), distance=nothing),
+        reading=np.full(n, Reading.FAULTED, dtype=np.uint8),
+        previous_distance=nothing,
+        previous_time=np.full(n, -np.inf),
+    )
+
+
+def _cast_on_twin(config, sensor_time, one_time, table, caster, bundles, twin):
+    """Casts each sensor's rays at the robot as it was at the sensor's time.
+
+    Returns:
+        Distances along the rays, m, (n, k), and the robot's report for each
+        sensor's time, (n, 15); one row if it is the same for all.
+    """
+    n = len(sensor_time)
+
+    def cast(report):
+        if not config.enabled:
+            return np.full((n, 1), np.inf)
+        return caster.cast_bundles(
+            bundles,
+            twin.calc(
+                report[_POSITION],
+                report[_GRIPPER_CLOSED],
+                report[_PRODUCTS_PLACED],
+            ),
+        )[0]
+
+    if one_time:
+        report = interpolate_reports(table, sensor_time[0])
+        return cast(report), report[None]
+
+    reports = np.zeros((n, _COLUMNS))
+    self_distance = np.full((n, len(bundles.fan_S)), np.inf)
+    todo = np.isfinite(sensor_time)
+    while todo.any():
+        time = sensor_time[np.argmax(todo)]
+        now = sensor_time == time
+        todo &= ~now
+        report = interpolate_reports(table, time)
+        reports[now] = report
+        self_distance[now] = cast(report)[now]
+    return self_distance, reports
+
+
+@njit(cache=True)
+def _interpret(
+    distance,
+    status,
+    sensor_time,
+    self_distance,
+    reports,
+    before_time,
+    before_distance,
+    before_reading,
+    before_previous_distance,
+    before_previous_time,
+    time,
+    tolerance,
+    min_range,
+    max_range,
+    max_age,
+):
+    """Does all the arithmetic of a scan at once: calls cost more than it."""
+    n = distance.shape[0]
+    self_nearest, self_farthest = calc_self_interval(self_distance)
+    reading, reckoned = classify_readings(
+        distance,
+        status,
+        time - sensor_time,
+        self_nearest,
+        self_farthest,
+        tolerance,
+        min_range,
+        max_range,
+        max_age,
+    )
+    is_other = False
+    position = np.empty((n, 6))
+    velocity = np.empty((n, 6))
+    last_report = reports.shape[0] - 1
+    for i in range(n):
+        if reckoned[i] != distance[i]:
+            is_other = True
+        report = reports[min(i, last_report)]
+        for j in range(6):
+            position[i, j] = report[1 + j]
+            velocity[i, j] = report[7 + j]
+    previous_distance, previous_time = pick_previous(
+        sensor_time,
+        before_time,
+        before_distance,
+        before_reading,
+        before_previous_distance,
+        before_previous_time,
+    )
+    return (
+        reading,
+        reckoned,
+        is_other,
+        self_nearest,
+        self_farthest,
+        previous_distance,
+        previous_time,
+        position,
+        velocity,
+    )
+
+
+@dc.dataclass(frozen=True, eq=False)
+class _MaskState:
+    """All that the system remembers, in one piece: cheap to copy."""
+
+    table: np.ndarray
+    """The robot's reports, see `make_robot_history`."""
+    masked_scans: tuple[MaskedScan, ...]
+    """The last of each ring."""
+
+    def __deepcopy__(self, memo):
+        return self
+
+
+class OcclusionMask(LeafSystem):
+    """Tells the robot and its cell from everything else in the rings' scans.
+
+    .. pydrake_system::
+
+        name: OcclusionMask
+        input_ports:
+        - scan_base
+        - scan_elbow
+        - scan_tool
+        - position_measured
+        - velocity_measured
+        - gripper_closed
+        - products_placed
+        output_ports:
+        - masked_scan_base
+        - masked_scan_elbow
+        - masked_scan_tool
+
+    Once a control tick it remembers what the robot reports; where a ring's
+    scan is new, it tells what each reading means (`mask_scan`). Nothing of
+    the simulated world is used: the rays are cast on a twin that is posed
+    from the measured joints. All rings share one system, since they share
+    the robot's reports and an event costs more than a look at a scan.
+
+    Before a ring's first scan its port holds an empty one (sequence -1).
+    """
+
+    def __init__(
+        self,
+        *,
+        config: OcclusionMaskConfig,
+        caster: RayCaster,
+        bundles: Sequence[RayBundles],
+        twin: Twin,
+        name: tuple[str, ...] = RINGS,
+    ):
+        """Constructs the system.
+
+        Args:
+            config: settings.
+            caster: of the twin's SceneGraph.
+            bundles: each ring's rays by that caster, see `make_mask_bundles`.
+            twin: gives the poses of `caster.frame_ids`.
+            name: the rings, in the order of `bundles`.
+
+        Raises:
+            UserError: if a setting is out of range.
+        """
+        super().__init__()
+        config.check("mask")
+        if len(bundles) != len(name):
+            raise ValueError(f"bundles: {len(bundles)} for {len(name)} rings")
+        self._config = config
+        self._caster = caster
+        self._bundles = tuple(bundles)
+        self._twin = twin
+        self._scans = [
+            self.DeclareAbstractInputPort(f"scan_{ring}", Value(RingScan()))
+            for ring in name
+        ]
+        self._position = self.DeclareVectorInputPort("position_measured", 6)
+        self._velocity = self.DeclareVectorInputPort("velocity_measured", 6)
+        self._gripper_closed = self.DeclareVectorInputPort("gripper_closed", 1)
+        self._products_placed = self.DeclareVectorInputPort(
+            "products_placed", 1
+        )
+        # A sample that is not stale lies within the history.
+        length = math.ceil(config.max_age / config.period) + 2
+        self._state = self.DeclareAbstractState(
+            Value(
+                _MaskState(
+                    table=make_robot_history(length),
+                    masked_scans=(MaskedScan(),) * len(name),
+                )
+            )
+        )
+        for index, ring in enumerate(name):
+            self.DeclareAbstractOutputPort(
+                f"masked_scan_{ring}",
+                Value(MaskedScan()).Clone,
+                functools.partial(self._calc_masked_scan, index=index),
+                prerequisites_of_calc={self.abstract_state_ticket(self._state)},
+            )
+        self.DeclarePeriodicUnrestrictedUpdateEvent(
+            config.period, 0.0, self._update
+        )
+
+    def _calc_masked_scan(self, context: Context, output, index: int):
+        state = context.get_abstract_state(self._state).get_value()
+        output.set_value(state.masked_scans[index])
+
+    def _update(self, context: Context, state: State):
+        time = context.get_time()
+        value = state.get_mutable_abstract_state(self._state)
+        before = value.get_value()
+        table = push_report(
+            before.table,
+            time,
+            self._position.Eval(context),
+            self._velocity.Eval(context),
+            self._gripper_closed.Eval(context)[0],
+            self._products_placed.Eval(context)[0],
+        )
+        masked_scans = before.masked_scans
+        for i, port in enumerate(self._scans):
+            scan = port.Eval(context)
+            masked_scan = masked_scans[i]
+            if scan.sequence == masked_scan.scan.sequence:
+                continue
+            masked_scan = mask_scan(
+                self._config,
+                scan=scan,
+                before=masked_scan,
+                time=time,
+                table=table,
+                caster=self._caster,
+                bundles=self._bundles[i],
+                twin=self._twin,
+            )
+            masked_scans = (
+                *masked_scans[:i],
+                masked_scan,
+                *masked_scans[i + 1 :],
+            )
+        value.set_value(_MaskState(table, masked_scans))

@@ -1,0 +1,481 @@
+"""From masked scans to how near a person is and how fast that shrinks."""
+
+from collections.abc import Sequence
+import dataclasses as dc
+import math
+from typing import Protocol
+
+from numba import njit
+import numpy as np
+from pydrake.common.value import Value
+from pydrake.systems.framework import Context, LeafSystem, ValueProducer
+
+from tofssm_drake.errors import require
+from tofssm_drake.messages import (
+    RINGS,
+    MaskedScan,
+    Reading,
+    Separation,
+    make_empty_separation,
+)
+from tofssm_drake.sensing.readings import calc_ring_health, count_readings
+from tofssm_drake.sensing.vl53l1x import check_range
+
+_VALID = int(Reading.VALID)
+_FAULTED = int(Reading.FAULTED)
+
+
+@dc.dataclass(kw_only=True)
+class SeparationConfig:
+    """How distances and directed speeds follow from masked scans."""
+
+    # Greatest directed speed, m/s: k_l and k_o are saturated to +-k_max.
+    k_max: float = 3.3
+
+    # Speed of a person whose motion is not known yet, m/s (ISO/TS 15066: an
+    # unmonitored person walks at 1.6 m/s towards the robot).
+    V_hmax: float = 1.6
+
+    # Difference the minimum over the ring, whichever sensors saw it, as the
+    # paper's Eq. 9 does, instead of each sensor with its own sample before.
+    literal: bool = False
+
+    # Keep the sign of the paper's Eq. 9, by which a person who comes nearer
+    # has a negative closing speed. Not safe; for comparison only.
+    literal_sign: bool = False
+
+    # A sensor's samples that lie farther apart than this say nothing about
+    # a speed, s (*assumed*: three periods and a bit).
+    max_gap: float = 0.1
+
+    # A ring with more faulted sensors than this at a time is faulted, which
+    # stops the robot. With 1 % lost samples, 15 % of which read as faulted,
+    # 3 of 8 sensors coincide about twice a day in three rings at 42 Hz; 2 of
+    # 8 would every two minutes, and any single one four times a second.
+    max_faulted_sensors: int = 2
+
+    def check(self, where: str) -> None:
+        """Raises UserError unless every setting is within its limits."""
+        check_range(where, "k_max", self.k_max, 0.1, 100.0)
+        check_range(where, "V_hmax", self.V_hmax, 0.0, 10.0)
+        check_range(where, "max_gap", self.max_gap, 0.0, 10.0)
+        require(
+            isinstance(self.max_faulted_sensors, int)
+            and self.max_faulted_sensors >= 0,
+            f"{where}.max_faulted_sensors: {self.max_faulted_sensors} is out "
+            "of range; use a whole number, 0 or more",
+        )
+
+
+@dc.dataclass(frozen=True, eq=False, kw_only=True)
+class RingGeometry:
+    """Where the n sensors of a ring sit on their link."""
+
+    radius: float
+    """r_l of the circle that the sensors' origins are on, m."""
+    beam_L: np.ndarray
+    """Unit vectors of the beams in the ring's frame L, (n, 3)."""
+
+
+def make_ring_geometry(X_LS: Sequence) -> RingGeometry:
+    """Reads radius and beams from the sensors' poses.
+
+    Args:
+        X_LS: pose of each sensor's frame S in the ring's frame L, whose
+            origin is the link's centre; x of S is the axis of the beam.
+
+    Raises:
+        ValueError: unless the beams point straight away from the origin, all
+            from one radius: the paper's ||D|| = r_l + d holds only then.
+    """
+    p_LS = np.array([X.translation() for X in X_LS])
+    beam_L = np.array([X.rotation().matrix()[:, 0] for X in X_LS])
+    radius = float(np.linalg.norm(p_LS[0]))
+    if not np.allclose(p_LS, radius * beam_L, rtol=0.0, atol=1e-6):
+        raise ValueError(
+            "X_LS: the sensors are not on one circle around the link's "
+            "centre, looking straight outwards"
+        )
+    return RingGeometry(radius=radius, beam_L=beam_L)
+
+
+class LinkKinematics(Protocol):
+    """What TofSeparation needs to know of the robot."""
+
+    def calc(
+        self, q: np.ndarray, qd: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Returns p_WL (m, 3), R_WL (m, 3, 3) and v_WL (m, 3)."""
+
+
+@njit(cache=True)
+def find_nearest(distance, reading):
+    """Returns the index of the nearest VALID sensor; -1: there is none.
+
+    Args:
+        distance: (n,) m.
+        reading: (n,) `Reading`; masked, faulted and clear ones are dropped.
+    """
+    nearest = -1
+    for i in range(distance.shape[0]):
+        if reading[i] == _VALID and (
+            nearest < 0 or distance[i] < distance[nearest]
+        ):
+            nearest = i
+    return nearest
+
+
+@njit(cache=True)
+def saturate(k, k_max):
+    """Returns k limited to [-k_max, k_max]."""
+    return min(max(k, -k_max), k_max)
+
+
+def calc_directed_speeds(
+    *,
+    p_LO: np.ndarray,
+    v_WL: np.ndarray,
+    v_WO: np.ndarray,
+    k_max: float = math.inf,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Projects velocities on the line from a link to an obstacle (paper, 4).
+
+    k_l = V_l . P^ and k_o = (V_l - V_o) . P^ with the *unit* vector
+    P^ = P / ||P||; positive is closing.
+
+    Args:
+        p_LO: from the link's centre to the obstacle, m, (..., 3).
+        v_WL: velocity of the link's centre, m/s, (..., 3).
+        v_WO: velocity of the obstacle, m/s, (..., 3).
+        k_max: both are saturated to [-k_max, k_max], m/s.
+
+    Returns:
+        k_l and k_o, m/s, (...).
+    """
+    n_LO = p_LO / np.linalg.norm(p_LO, axis=-1, keepdims=True)
+    k_l = np.sum(v_WL * n_LO, axis=-1)
+    k_o = np.sum((v_WL - v_WO) * n_LO, axis=-1)
+    return np.clip(k_l, -k_max, k_max), np.clip(k_o, -k_max, k_max)
+
+
+# Columns of a link's row, the fields of a Separation: first the real numbers,
+# then the whole ones.
+_TIME = 0
+_DISTANCE = 1
+_LINK_SPEED = 2
+_K_L = 3
+_K_O = 4
+_DIRECTION = 5
+_REALS = 8
+_SEQUENCE = 8
+_SENSOR = 9
+_HEALTH = 10
+_COUNT = 11
+_COLUMNS = 15
+
+
+@njit(cache=True)
+def _find_moment(distance, reading, sensor_time):
+    """Returns the deciding sensor, the one to pose the link by, the time."""
+    sensor = find_nearest(distance, reading)
+    if sensor >= 0:
+        return sensor, sensor, sensor_time[sensor]
+    # Nothing decides: the link as the newest sample saw it, but no younger
+    # than the oldest sample that the clear ring rests on.
+    newest = 0
+    oldest_time = np.inf
+    for i in range(sensor_time.shape[0]):
+        if sensor_time[i] > sensor_time[newest]:
+            newest = i
+        if reading[i] != _FAULTED:
+            oldest_time = min(oldest_time, sensor_time[i])
+    if oldest_time == np.inf:
+        oldest_time = -np.inf
+    return -1, newest, oldest_time
+
+
+@njit(cache=True)
+def _calc_row(
+    sequence,
+    sensor,
+    time,
+    distance,
+    reading,
+    sensor_time,
+    previous_distance,
+    previous_time,
+    radius,
+    beam_L,
+    R_WL,
+    v_WL,
+    k_max,
+    V_hmax,
+    literal,
+    literal_sign,
+    max_gap,
+    max_faulted_sensors,
+):
+    row = np.empty(_COLUMNS)
+    row[_SEQUENCE] = sequence
+    row[_TIME] = time
+    row[_SENSOR] = sensor
+    count = count_readings(reading)
+    row[_HEALTH] = calc_ring_health(count, max_faulted_sensors)
+    row[_COUNT:] = count
+    speed = math.sqrt(v_WL[0] ** 2 + v_WL[1] ** 2 + v_WL[2] ** 2)
+    row[_LINK_SPEED] = speed
+    if sensor < 0:
+        row[_DISTANCE] = np.inf
+        row[_DIRECTION:_REALS] = np.nan
+        row[_K_L] = saturate(speed, k_max)
+        row[_K_O] = saturate(speed + V_hmax, k_max)
+        return row
+
+    row[_DISTANCE] = radius + distance[sensor]
+    k_l = 0.0
+    for i in range(3):
+        n_i = 0.0
+        for j in range(3):
+            n_i += R_WL[i, j] * beam_L[sensor, j]
+        row[_DIRECTION + i] = n_i
+        k_l += v_WL[i] * n_i
+
+    before = sensor
+    if literal:
+        for i in range(previous_distance.shape[0]):
+            if previous_distance[i] < previous_distance[before] or np.isnan(
+                previous_distance[before]
+            ):
+                before = i
+    dt = sensor_time[sensor] - previous_time[before]
+    # NaN where that sensor had no valid sample: the comparison is false.
+    if 0.0 < dt <= max_gap and previous_distance[before] >= 0.0:
+        k_o = -(distance[sensor] - previous_distance[before]) / dt
+        if literal_sign:
+            k_o = -k_o
+    else:
+        k_o = k_l + V_hmax
+    row[_K_L] = saturate(k_l, k_max)
+    row[_K_O] = saturate(k_o, k_max)
+    return row
+
+
+def calc_link_row(
+    config: SeparationConfig,
+    masked_scan: MaskedScan,
+    geometry: RingGeometry,
+    kinematics: LinkKinematics,
+    link: int,
+) -> np.ndarray:
+    """Calculates one link's part of a Separation from its ring's scan.
+
+    The nearest VALID sensor decides (paper, Minimum Distance Calculation):
+    ||D|| = r_l + d, along its beam. The directed speeds are
+    k_l = V_l . P^ and k_o = -(||D||(t) - ||D||(t - dt)) / dt of the same
+    sensor by its own times, which holds the robot's own motion already;
+    where that sensor had no valid sample before, k_o = k_l + V_hmax.
+    Without a valid sensor the distance is inf, k_l = ||V_l|| and
+    k_o = ||V_l|| + V_hmax: a person may appear in any direction.
+
+    Args:
+        config: settings.
+        masked_scan: of the ring of this link, with at least one sensor.
+        geometry: of that ring.
+        kinematics: of the robot.
+        link: index of the link in what `kinematics` returns.
+
+    Returns:
+        Time, distance, link speed, k_l, k_o, direction (3), sequence, sensor,
+        health, counts (4): a row of what `make_separation` takes.
+    """
+    scan = masked_scan.scan
+    sensor, moment, time = _find_moment(
+        scan.distance, masked_scan.reading, scan.sensor_time
+    )
+    _, R_WL, v_WL = kinematics.calc(
+        masked_scan.position[moment], masked_scan.velocity[moment]
+    )
+    return _calc_row(
+        scan.sequence,
+        sensor,
+        time,
+        scan.distance,
+        masked_scan.reading,
+        scan.sensor_time,
+        masked_scan.previous_distance,
+        masked_scan.previous_time,
+        geometry.radius,
+        geometry.beam_L,
+        R_WL[link],
+        v_WL[link],
+        config.k_max,
+        config.V_hmax,
+        config.literal,
+        config.literal_sign,
+        config.max_gap,
+        config.max_faulted_sensors,
+    )
+
+
+def make_separation(rows: np.ndarray, name: tuple[str, ...]) -> Separation:
+    """Makes the message from the links' rows, (m, 15)."""
+    # By columns, so that each field is contiguous.
+    columns = rows.T.copy()
+    whole = columns[_REALS:].astype(int)
+    return Separation(
+        name=name,
+        sequence=whole[_SEQUENCE - _REALS],
+        time=columns[_TIME],
+        distance=columns[_DISTANCE],
+        sensor=whole[_SENSOR - _REALS],
+        direction=rows[:, _DIRECTION:_REALS].copy(),
+        link_speed=columns[_LINK_SPEED],
+        k_l=columns[_K_L],
+        k_o=columns[_K_O],
+        health=whole[_HEALTH - _REALS],
+        count=whole[_COUNT - _REALS :].T.copy(),
+    )
+
+
+def _make_empty_row() -> np.ndarray:
+    """Returns the row of a link that was never measured."""
+    empty = make_empty_separation(("",))
+    row = np.empty(_COLUMNS)
+    row[_SEQUENCE] = empty.sequence[0]
+    row[_TIME] = empty.time[0]
+    row[_DISTANCE] = empty.distance[0]
+    row[_SENSOR] = empty.sensor[0]
+    row[_DIRECTION:_REALS] = empty.direction[0]
+    row[_LINK_SPEED] = empty.link_speed[0]
+    row[_K_L] = empty.k_l[0]
+    row[_K_O] = empty.k_o[0]
+    row[_HEALTH] = empty.health[0]
+    row[_COUNT:] = empty.count[0]
+    return row
+
+
+@dc.dataclass(frozen=True, eq=False, kw_only=True)
+class _Result:
+    """A separation and what it was made of."""
+
+    masked_scans: tuple[MaskedScan, ...]
+    rows: np.ndarray
+    separation: Separation
+
+    def __deepcopy__(self, memo):
+        return self
+
+
+class TofSeparation(LeafSystem):
+    """Calculates the separation of the robot's links from its ToF rings.
+
+    .. pydrake_system::
+
+        name: TofSeparation
+        input_ports:
+        - masked_scan_base
+        - masked_scan_elbow
+        - masked_scan_tool
+        output_ports:
+        - separation
+
+    See `calc_link_row` for the equations. Each link's values change only
+    when its own ring has a new scan. A link whose ring has not measured yet
+    is FAULTED.
+    """
+
+    def __init__(
+        self,
+        *,
+        config: SeparationConfig,
+        kinematics: LinkKinematics,
+        geometries: Sequence[RingGeometry],
+        name: tuple[str, ...] = RINGS,
+    ):
+        """Constructs the system.
+
+        Args:
+            config: settings.
+            kinematics: of the links, in the order of `name`.
+            geometries: of the rings, in the same order.
+            name: the rings.
+
+        Raises:
+            UserError: if a setting is out of range.
+        """
+        super().__init__()
+        config.check("separation")
+        self._config = config
+        self._kinematics = kinematics
+        self._geometries = tuple(geometries)
+        self._name = tuple(name)
+        if len(self._geometries) != len(self._name):
+            raise ValueError(
+                f"geometries: {len(self._geometries)} for "
+                f"{len(self._name)} rings"
+            )
+        self._masked_scans = [
+            self.DeclareAbstractInputPort(
+                f"masked_scan_{ring}", Value(MaskedScan())
+            )
+            for ring in self._name
+        ]
+        prerequisites = {port.ticket() for port in self._masked_scans}
+        m = len(self._name)
+        self._result = self.DeclareCacheEntry(
+            "result",
+            ValueProducer(
+                allocate=Value(
+                    _Result(
+                        masked_scans=(MaskedScan(),) * m,
+                        rows=np.tile(_make_empty_row(), (m, 1)),
+                        separation=make_empty_separation(self._name),
+                    )
+                ).Clone,
+                calc=self._calc_result,
+            ),
+            prerequisites_of_calc=prerequisites,
+        )
+        self.DeclareAbstractOutputPort(
+            "separation",
+            Value(make_empty_separation(self._name)).Clone,
+            self._calc_separation,
+            prerequisites_of_calc=prerequisites,
+        )
+
+    def _calc_result(self, context: Context, cached):
+        """Calculates the rows of the links whose ring has a new scan.
+
+        A mask's state, and with it this entry, counts as changed at every
+        control tick. What the entry held before tells which scans are the
+        same; the value still depends on the inputs only.
+        """
+        before = cached.get_value()
+        masked_scans = tuple(port.Eval(context) for port in self._masked_scans)
+        rows = None
+        for link, masked_scan in enumerate(masked_scans):
+            if masked_scan is before.masked_scans[link]:
+                continue
+            if rows is None:
+                rows = before.rows.copy()
+            if masked_scan.scan.sequence < 0:
+                rows[link] = _make_empty_row()
+            else:
+                rows[link] = calc_link_row(
+                    self._config,
+                    masked_scan,
+                    self._geometries[link],
+                    self._kinematics,
+                    link,
+                )
+        if rows is not None:
+            cached.set_value(
+                _Result(
+                    masked_scans=masked_scans,
+                    rows=rows,
+                    separation=make_separation(rows, self._name),
+                )
+            )
+
+    def _calc_separation(self, context: Context, output):
+        output.set_value(self._result.Eval(context).separation)

@@ -1,0 +1,412 @@
+"""Measurement model of a VL53L1X: from ray distances to what it reports.
+
+The figures are those of ST's datasheet and user manual UM2356 where they
+give any, and engineering assumptions (marked *assumed*) where they do not.
+Pure functions only: the random draws are an argument.
+"""
+
+import dataclasses as dc
+import math
+
+from numba import njit
+import numpy as np
+
+from tofssm_drake.errors import require
+
+NOISE_DRAWS = 4
+"""Standard normal draws per sensor and sample: range error, validity, kind of
+failure, arbitrary millimetres. All but the first serve as uniform numbers, by
+way of the normal distribution function."""
+
+STATUS_VALID = 0
+STATUS_SIGMA_FAIL = 1
+STATUS_SIGNAL_FAIL = 2
+STATUS_MIN_RANGE_CLIPPED = 3
+STATUS_OUT_OF_BOUNDS = 4
+STATUS_HARDWARE_FAIL = 5
+STATUS_WRAP_AROUND = 7
+STATUS_PROCESSING_FAIL = 8
+STATUS_BUS_FAILURE = 253
+STATUS_NO_NEW_DATA = 254
+STATUS_NONE = 255
+
+SATURATED = 65.535
+"""The largest distance that 16 bits of millimetres hold, m."""
+
+# One standard deviation at a timing budget of 33 ms (54 % grey, dark), read
+# off figure 6 of the datasheet.
+_SIGMA_DISTANCE = np.array(
+    [0.09, 0.14, 0.19, 0.24, 0.4, 1.0, 1.2, 1.4, 1.6, 1.8, 2.8, 3.0, 3.1]
+)
+_SIGMA_33MS = 1e-3 * np.array(
+    [3.7, 2.9, 2.7, 2.0, 1.8, 1.8, 2.1, 2.1, 2.5, 2.8, 2.8, 3.4, 5.0]
+)
+
+
+@dc.dataclass(kw_only=True)
+class TofSensorConfig:
+    """How well one VL53L1X measures; every effect can be switched off."""
+
+    # Report the exact nearest distance up to `usable_range`, nothing else:
+    # no noise, no bias, no failures, no millimetres.
+    ideal: bool = False
+
+    # What the hits within the cone become: "nearest" reports the nearest one,
+    # "mean" their mean weighted by 1/d^2, as the photons are.
+    return_model: str = "nearest"
+
+    # Where a target is seen with probability 1/2, m. 1.31 is the paper's best
+    # range; short mode reaches 1.30 (typical) and never more than 1.5 here.
+    usable_range: float = 1.31
+
+    # Width of the logistic fall of that probability, as a part of
+    # `usable_range` (*assumed*). 0: seen up to `usable_range`, never beyond.
+    range_falloff: float = 0.05
+
+    # No valid reading beyond this distance or `usable_range`, whichever is
+    # larger, m (short mode).
+    mode_range: float = 1.36
+
+    # Integration time of one measurement, s; 0.020 is the shortest that the
+    # full driver has, in short mode only.
+    timing_budget: float = 0.020
+
+    # Factor on the datasheet's standard deviation; 0: no noise.
+    noise_gain: float = 1.0
+
+    # Least standard deviation as a part of the distance; ambient light raises
+    # it to 0.01.
+    noise_floor: float = 0.0015
+
+    # Part of the hits' spread that adds to the standard deviation with the
+    # return model "mean" (*assumed*).
+    spread_gain: float = 0.05
+
+    # A standard deviation above this fails with status 1, m; 0: never.
+    sigma_limit: float = 0.015
+
+    # Constant offset of each sensor: standard deviation and bound, m; 0: none
+    # (*assumed* after the datasheet's +-20 mm accuracy).
+    bias_sigma: float = 0.007
+    bias_limit: float = 0.015
+
+    # Standard deviation of each sensor's scale factor; 0: none (*assumed*).
+    gain_sigma: float = 0.002
+
+    # Below this distance the target is detected but the value is wrong, m.
+    min_range: float = 0.040
+
+    # How wrong it can be then, m, and how often status 3 tells so (*assumed*).
+    # 0 m: as good as elsewhere, always valid.
+    min_range_error: float = 0.030
+    min_range_clipped: float = 0.5
+
+    # Probability that a sample fails for no reason in the scene (*assumed*;
+    # 0.002 to 0.01 is plausible). 0: never.
+    dropout: float = 0.005
+
+    # Probability that a target beyond the range is reported as valid with
+    # `wrap_range` taken off (*assumed*; the device has its own check, status
+    # 7, and 0.001 is a pessimistic guess of what slips through). 0: never.
+    wrap_probability: float = 0.0
+    wrap_range: float = 1.36
+
+    # Step of the reported distance, m; 0: none.
+    resolution: float = 0.001
+
+    def check(self, where: str) -> None:
+        """Raises UserError unless every setting is within its limits."""
+        require(
+            self.return_model in ("nearest", "mean"),
+            f"{where}.return_model: {self.return_model!r} is not known; "
+            "use 'nearest' or 'mean'",
+        )
+        for name, low, high in (
+            ("usable_range", 0.05, 4.0),
+            ("range_falloff", 0.0, 1.0),
+            ("mode_range", 0.05, 4.0),
+            ("timing_budget", 0.015, 1.0),
+            ("noise_gain", 0.0, 100.0),
+            ("noise_floor", 0.0, 0.1),
+            ("spread_gain", 0.0, 1.0),
+            ("sigma_limit", 0.0, 1.0),
+            ("bias_sigma", 0.0, 0.1),
+            ("bias_limit", 0.0, 0.1),
+            ("gain_sigma", 0.0, 0.1),
+            ("min_range", 0.0, 0.2),
+            ("min_range_error", 0.0, 0.2),
+            ("min_range_clipped", 0.0, 1.0),
+            ("dropout", 0.0, 1.0),
+            ("wrap_probability", 0.0, 1.0),
+            ("wrap_range", 0.1, 10.0),
+            ("resolution", 0.0, 0.1),
+        ):
+            check_range(where, name, getattr(self, name), low, high)
+
+
+def check_range(
+    where: str, name: str, value: float, low: float, high: float
+) -> None:
+    """Raises UserError unless low <= value <= high (NaN is outside)."""
+    require(
+        isinstance(value, (int, float)) and low <= value <= high,
+        f"{where}.{name}: {value} is out of range; use {low:g} to {high:g}",
+    )
+
+
+def calc_cast_range(config: TofSensorConfig) -> float:
+    """Returns how far a sensor's rays have to be cast, m."""
+    if config.ideal:
+        return config.usable_range
+    if config.wrap_probability > 0.0:
+        # The device itself sees no farther, in any mode.
+        return 4.0
+    return max(config.usable_range, config.mode_range)
+
+
+@dc.dataclass(frozen=True, eq=False, kw_only=True)
+class SensorErrors:
+    """The constant errors of n sensors of a ring."""
+
+    bias: np.ndarray
+    """Offset, m, (n,)."""
+    gain: np.ndarray
+    """Scale factor, (n,)."""
+
+
+def draw_sensor_errors(
+    config: TofSensorConfig, *, sensors: int, seed: int, ring: int = 0
+) -> SensorErrors:
+    """Draws the constant errors of the sensors of one ring.
+
+    Args:
+        config: how large they are.
+        sensors: n.
+        seed: the same seed gives the same sensors.
+        ring: tells the rings of one seed apart.
+    """
+    draws = np.random.default_rng([seed, ring]).standard_normal((2, sensors))
+    limit = config.bias_limit
+    return SensorErrors(
+        bias=np.clip(config.bias_sigma * draws[0], -limit, limit),
+        gain=1.0 + config.gain_sigma * draws[1],
+    )
+
+
+def make_perfect_sensor_errors(sensors: int) -> SensorErrors:
+    """Returns sensors without constant errors."""
+    return SensorErrors(bias=np.zeros(sensors), gain=np.ones(sensors))
+
+
+# The order in which the kernel unpacks them.
+_PACKED = (
+    "ideal",
+    "usable_range",
+    "range_falloff",
+    "mode_range",
+    "timing_budget",
+    "noise_gain",
+    "noise_floor",
+    "spread_gain",
+    "sigma_limit",
+    "min_range",
+    "min_range_error",
+    "min_range_clipped",
+    "dropout",
+    "wrap_probability",
+    "wrap_range",
+    "resolution",
+)
+
+
+def pack_config(config: TofSensorConfig) -> np.ndarray:
+    """Returns the settings as the vector that `measure_packed` takes."""
+    values = [float(getattr(config, name)) for name in _PACKED]
+    return np.array([*values, float(config.return_model == "mean")])
+
+
+def measure(
+    config: TofSensorConfig,
+    *,
+    ray_distance: np.ndarray,
+    noise: np.ndarray,
+    errors: SensorErrors,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Measures once with each of n sensors.
+
+    A target at distance d is seen with probability
+    1 / (1 + exp((d - usable_range) / (range_falloff usable_range))), and
+    never beyond the mode's range. What is not seen is weak: status 2, 4 or 7
+    with arbitrary millimetres. A dropout has nothing to do with the target
+    and can also be a status 1. The standard deviation is the datasheet's at
+    33 ms times sqrt(33 ms / timing budget).
+
+    Args:
+        config: how well the sensors measure.
+        ray_distance: (n, k) distance along each ray of each sensor's cone,
+            m; inf where it hits nothing.
+        noise: (n, NOISE_DRAWS) standard normal draws; not read when ideal.
+        errors: the sensors' constant errors; not read when ideal.
+
+    Returns:
+        Distance, m, (n,), and range status (ST API numbers), uint8, (n,).
+        The distance is arbitrary unless the status is 0 or 3.
+    """
+    ray_distance = np.ascontiguousarray(ray_distance, dtype=float)
+    noise = np.ascontiguousarray(noise, dtype=float)
+    return measure_packed(
+        pack_config(config), ray_distance, noise, errors.bias, errors.gain
+    )
+
+
+@njit(cache=True)
+def _calc_uniform(z):
+    """Turns a standard normal draw into a uniform one in [0, 1]."""
+    return 0.5 * math.erfc(-z / math.sqrt(2.0))
+
+
+@njit(cache=True)
+def _interpolate_sigma(d):
+    """Standard deviation at a timing budget of 33 ms, m."""
+    last = len(_SIGMA_DISTANCE) - 1
+    if d <= _SIGMA_DISTANCE[0]:
+        return _SIGMA_33MS[0]
+    if d >= _SIGMA_DISTANCE[last]:
+        return _SIGMA_33MS[last]
+    i = 0
+    while d > _SIGMA_DISTANCE[i + 1]:
+        i += 1
+    s = (d - _SIGMA_DISTANCE[i]) / (_SIGMA_DISTANCE[i + 1] - _SIGMA_DISTANCE[i])
+    return (1.0 - s) * _SIGMA_33MS[i] + s * _SIGMA_33MS[i + 1]
+
+
+@njit(cache=True)
+def _calc_target(rays, is_mean):
+    """Distance of what the cone sees and the spread of its hits, m."""
+    nearest = np.inf
+    for d in rays:
+        nearest = min(nearest, d)
+    if not is_mean or nearest == np.inf or nearest <= 0.0:
+        return nearest, 0.0
+    sum_w = 0.0
+    sum_wd = 0.0
+    for d in rays:
+        if d < np.inf:
+            w = (nearest / d) ** 2
+            sum_w += w
+            sum_wd += w * d
+    mean = sum_wd / sum_w
+    sum_wdd = 0.0
+    for d in rays:
+        if d < np.inf:
+            sum_wdd += (nearest / d) ** 2 * (d - mean) ** 2
+    return mean, math.sqrt(sum_wdd / sum_w)
+
+
+@njit(cache=True)
+def _pick_no_return(u):
+    """A status of a target that is too weak or too far to be seen."""
+    if u < 0.70:
+        return STATUS_SIGNAL_FAIL
+    if u < 0.80:
+        return STATUS_OUT_OF_BOUNDS
+    return STATUS_WRAP_AROUND
+
+
+@njit(cache=True)
+def _pick_dropout(u):
+    """A status of a sample that failed for no reason in the scene."""
+    if u < 0.70:
+        return STATUS_SIGNAL_FAIL
+    if u < 0.85:
+        return STATUS_SIGMA_FAIL
+    if u < 0.95:
+        return STATUS_OUT_OF_BOUNDS
+    return STATUS_WRAP_AROUND
+
+
+@njit(cache=True)
+def _calc_detection_probability(d, usable_range, range_falloff, mode_range):
+    if d > max(usable_range, mode_range):
+        return 0.0
+    if range_falloff == 0.0:
+        return 1.0 if d <= usable_range else 0.0
+    x = (d - usable_range) / (range_falloff * usable_range)
+    return 1.0 / (1.0 + math.exp(x))
+
+
+@njit(cache=True)
+def measure_packed(parameters, ray_distance, noise, bias, gain):
+    """Does what `measure` does, with settings from `pack_config`."""
+    ideal = parameters[0] != 0.0
+    usable_range = parameters[1]
+    range_falloff = parameters[2]
+    mode_range = parameters[3]
+    timing_budget = parameters[4]
+    noise_gain = parameters[5]
+    noise_floor = parameters[6]
+    spread_gain = parameters[7]
+    sigma_limit = parameters[8]
+    min_range = parameters[9]
+    min_range_error = parameters[10]
+    min_range_clipped = parameters[11]
+    dropout = parameters[12]
+    wrap_probability = parameters[13]
+    wrap_range = parameters[14]
+    resolution = parameters[15]
+    is_mean = parameters[16] != 0.0
+
+    n = ray_distance.shape[0]
+    distance = np.zeros(n)
+    status = np.zeros(n, dtype=np.uint8)
+    for i in range(n):
+        if ideal:
+            d, _ = _calc_target(ray_distance[i], False)
+            if d <= usable_range:
+                distance[i] = d
+            else:
+                status[i] = STATUS_SIGNAL_FAIL
+            continue
+
+        d, spread = _calc_target(ray_distance[i], is_mean)
+        u_validity = _calc_uniform(noise[i, 1])
+        u_kind = _calc_uniform(noise[i, 2])
+        u_arbitrary = _calc_uniform(noise[i, 3])
+
+        sigma = 0.0
+        if d < np.inf:
+            sigma = math.sqrt(0.033 / timing_budget) * _interpolate_sigma(d)
+            sigma = math.hypot(
+                max(sigma, noise_floor * d), spread_gain * spread
+            )
+            sigma *= noise_gain
+
+        # One uniform number decides: dropout first, then the range.
+        p = _calc_detection_probability(
+            d, usable_range, range_falloff, mode_range
+        )
+        if u_validity < dropout:
+            status[i] = _pick_dropout(u_kind)
+        elif u_validity < dropout + (1.0 - dropout) * (1.0 - p):
+            wraps = u_kind < wrap_probability
+            if wraps and d < np.inf and d > max(usable_range, mode_range):
+                measured = d % wrap_range
+                status[i] = STATUS_VALID
+            else:
+                status[i] = _pick_no_return(u_kind)
+        elif d < min_range and min_range_error > 0.0:
+            measured = d + min_range_error * (2.0 * u_arbitrary - 1.0)
+            if u_kind < min_range_clipped:
+                status[i] = STATUS_MIN_RANGE_CLIPPED
+        elif sigma_limit > 0.0 and sigma > sigma_limit:
+            status[i] = STATUS_SIGMA_FAIL
+        else:
+            measured = gain[i] * d + bias[i] + sigma * noise[i, 0]
+
+        if status[i] not in (STATUS_VALID, STATUS_MIN_RANGE_CLIPPED):
+            # As on the device: a number that means nothing.
+            measured = 4.0 * u_arbitrary
+        if resolution > 0.0:
+            measured = resolution * np.round(measured / resolution)
+        distance[i] = min(max(measured, 0.0), SATURATED)
+    return distance, status

@@ -1,0 +1,143 @@
+"""Settings of the safety law."""
+
+import dataclasses as dc
+import math
+
+from tofssm_drake.errors import require
+
+CONFIGURATIONS = ("vo", "vr", "sm")
+
+
+@dc.dataclass(kw_only=True)
+class SsmConfig:
+    """Settings of the safety law, by default those of the paper's Table.
+
+    The names are the paper's symbols. For distances that are measured from
+    the robot's base by a lidar, the paper offsets the constants by the
+    workspace radius of 0.82 m: `C_dC = 1.12, d_C_sm = 1.32, d_R_sm = 1.92`.
+    """
+
+    # Which distances watch the robot: "vo" uses the relative directed speed
+    # of robot and person, "vr" that of the robot alone, "sm" none (fixed
+    # distances).
+    configuration: str = "vo"
+
+    # True takes the paper to the letter: distances that may fall below each
+    # other and below C_dC when the gap opens, the normal state tested first,
+    # and a speed fraction that may still rise after a stop was decided.
+    # For comparison only.
+    literal: bool = False
+
+    # Control tick, s. The robot's: 0.008 for CB3, 0.002 for e-Series.
+    period: float = 0.008
+
+    # Time from normal speed to a standstill, s.
+    T_stop: float = 0.4
+
+    # Time from normal to reduced speed, s.
+    T_red: float = 0.4
+
+    # Reaction time of sensing and robot, s.
+    T_R: float = 0.1
+
+    # Greatest speed of the robot, m/s.
+    V_lmax: float = 1.7
+
+    # Greatest relative directed speed, m/s (k_max of "vo"): V_lmax and a
+    # person who walks with 1.6 m/s.
+    k_omax: float = 3.3
+
+    # Greatest directed speed of the robot alone, m/s (k_max of "vr"). The
+    # paper's text has V_lmax, its Table 3.3.
+    k_lmax: float = 1.7
+
+    # Cushioning constant, m: intrusion distance and the uncertainties of
+    # the positions of person and robot.
+    C_dC: float = 0.3
+
+    # Least braking distance, m.
+    B_min: float = 0.2
+
+    # Critical distance of "sm", m.
+    d_C_sm: float = 0.5
+
+    # Reduced distance of "sm", m.
+    d_R_sm: float = 1.1
+
+    # Weight of a new sample in the filter when the index falls, in (0, 1].
+    alpha_I: float = 0.3
+
+    # The same when it rises without being critical.
+    alpha_D: float = 0.8
+
+    # Age of a sample above which its link counts as unwatched: stop, s.
+    # *Assumed*: T_R, because the distances take no older sample into account;
+    # it is also three 24 ms periods of a ring plus its latency of 24 ms. For
+    # rings with a period of 37 ms use 0.135.
+    deadline: float = 0.1
+
+    # Speed fraction of the reduced state, in (0, 1).
+    rho_reduced: float = 0.5
+
+    # Greatest rate of the speed fraction, 1/s. *Assumed*: with the next one
+    # it gives a stop within T_stop and the paper's braking distance.
+    rho_max_rate: float = 10.0 / 3.0
+
+    # Greatest acceleration of the speed fraction, 1/s^2. *Assumed*.
+    rho_max_acceleration: float = 100.0 / 3.0
+
+    def check(self, where: str) -> None:
+        """Raises UserError unless every setting makes sense.
+
+        Args:
+            where: Name of these settings in what the user wrote.
+        """
+        require(
+            self.configuration in CONFIGURATIONS,
+            f"{where}.configuration: {self.configuration!r} is unknown, use "
+            f"one of {', '.join(CONFIGURATIONS)}",
+        )
+        for name in (
+            "period",
+            "T_stop",
+            "T_red",
+            "V_lmax",
+            "k_omax",
+            "k_lmax",
+            "C_dC",
+            "d_C_sm",
+            "deadline",
+            "rho_max_rate",
+            "rho_max_acceleration",
+        ):
+            value = getattr(self, name)
+            require(
+                math.isfinite(value) and value > 0.0,
+                f"{where}.{name}: {value!r} must be a number greater than 0",
+            )
+        for name in ("T_R", "B_min"):
+            value = getattr(self, name)
+            require(
+                math.isfinite(value) and value >= 0.0,
+                f"{where}.{name}: {value!r} must be a number of at least 0",
+            )
+        require(
+            math.isfinite(self.d_R_sm) and self.d_R_sm >= self.d_C_sm,
+            f"{where}.d_R_sm: {self.d_R_sm!r} must be at least d_C_sm "
+            f"({self.d_C_sm!r})",
+        )
+        for name in ("alpha_I", "alpha_D"):
+            value = getattr(self, name)
+            require(
+                0.0 < value <= 1.0,
+                f"{where}.{name}: {value!r} must be above 0 and at most 1",
+            )
+        require(
+            0.0 < self.rho_reduced < 1.0,
+            f"{where}.rho_reduced: {self.rho_reduced!r} must be between 0 "
+            "and 1",
+        )
+
+    def k_max(self) -> float:
+        """Returns the greatest directed speed of this configuration, m/s."""
+        return self.k_omax if self.configuration == "vo" else self.k_lmax

@@ -1,0 +1,275 @@
+"""Filter of the Distance Safety Index (the 2019 paper's Algorithm 1)."""
+
+from numba import njit
+import numpy as np
+from pydrake.common.value import Value
+from pydrake.systems.framework import LeafSystem
+
+from tofssm_drake.messages import (
+    RINGS,
+    RingHealth,
+    RobotState,
+    SafetyIndex,
+    Separation,
+    make_empty_safety_index,
+    make_empty_separation,
+)
+from tofssm_drake.ssm.config import SsmConfig
+from tofssm_drake.ssm.distances import (
+    DistanceConstants,
+    critical_distance,
+    make_distance_constants,
+    reduced_distance,
+)
+
+# A measured distance nearer than this, or negative, counts as this near, m:
+# the index must stay a number that the filter can leave again.
+MIN_DISTANCE = 1e-3
+
+# As compile-time constants for the kernel.
+_HEALTHY = int(RingHealth.HEALTHY)
+_FAULTED = int(RingHealth.FAULTED)
+_STOP = float(RobotState.STOP)
+_REDUCED = float(RobotState.REDUCED)
+_NORMAL = float(RobotState.NORMAL)
+
+
+@njit(cache=True)
+def filter_index(dsi, previous_dsi, dsi_C, alpha_I, alpha_D):
+    """Takes one step of Algorithm 1's asymmetric exponential filter.
+
+    A falling index is followed slowly (alpha_I), a rising one faster
+    (alpha_D), a rising one that is critical at once. Written so that the
+    result of a falling index is not below it even in the last digit: a
+    critical sample therefore always stops the robot.
+
+    Args:
+        dsi: New sample, finite.
+        previous_dsi: Filtered index so far; inf: none yet.
+        dsi_C: Critical threshold.
+        alpha_I: Weight of a falling sample.
+        alpha_D: Weight of a rising sample.
+
+    Returns:
+        The filtered index.
+    """
+    if previous_dsi == np.inf or (dsi >= previous_dsi and dsi >= dsi_C):
+        return dsi
+    alpha = alpha_I if dsi < previous_dsi else alpha_D
+    return dsi + (1.0 - alpha) * (previous_dsi - dsi)
+
+
+@njit(cache=True)
+def _threshold(C_dC, distance):
+    # Only `literal` can have a distance of 0 (or less).
+    return np.inf if distance == 0.0 else (C_dC / distance) ** 2
+
+
+@njit(cache=True)
+def _calc_index(c, state, sequence, distance, link_speed, k, health, index):
+    # Rows of `index`: d_C, d_R, dsi_raw, dsi, dsi_C, dsi_R, health.
+    m = len(sequence)
+    for i in range(m):
+        dsi = state[m + i]
+        is_new = sequence[i] != state[i]
+        if sequence[i] < 0 or not (
+            distance[i] == distance[i]
+            and (c.fixed or np.isfinite(k[i] + link_speed[i]))
+        ):
+            # Nothing is known: no distance is far enough.
+            index[0, i] = np.inf
+            index[1, i] = np.inf
+            index[2, i] = np.nan
+            index[3, i] = dsi
+            index[4, i] = 0.0
+            index[5, i] = 0.0
+            index[6, i] = _FAULTED
+            continue
+        robot_state = state[3 * m] if is_new else state[2 * m + i]
+        d_C = critical_distance(c, k[i], link_speed[i])
+        d_R = reduced_distance(c, k[i], robot_state, d_C)
+        dsi_C = _threshold(c.C_dC, d_C)
+        dsi_raw = np.nan
+        if health[i] == _HEALTHY:
+            dsi_raw = (c.C_dC / max(distance[i], MIN_DISTANCE)) ** 2
+            if is_new:
+                dsi = filter_index(dsi_raw, dsi, dsi_C, c.alpha_I, c.alpha_D)
+        index[0, i] = d_C
+        index[1, i] = d_R
+        index[2, i] = dsi_raw
+        index[3, i] = dsi
+        index[4, i] = dsi_C
+        index[5, i] = _threshold(c.C_dC, d_R)
+        index[6, i] = health[i]
+
+
+@njit(cache=True)
+def _calc_next_state(state, sequence, dsi, robot_state, result):
+    m = len(sequence)
+    for i in range(m):
+        is_new = sequence[i] != state[i]
+        result[i] = sequence[i]
+        result[m + i] = dsi[i]
+        result[2 * m + i] = state[3 * m] if is_new else state[2 * m + i]
+    is_known = robot_state == _REDUCED or robot_state == _NORMAL
+    result[3 * m] = robot_state if is_known else _STOP
+
+
+def make_initial_filter_state(m: int) -> np.ndarray:
+    """Returns the filter's state before any sample, shape (3 m + 1,).
+
+    It holds, for m links, the sequence of the last sample (-1: none), its
+    filtered index (inf: none), the robot state that its thresholds took, and
+    last the robot state of the last control tick.
+    """
+    return np.concatenate(
+        [
+            np.full(m, -1.0),
+            np.full(m, np.inf),
+            np.full(m + 1, _STOP),
+        ]
+    )
+
+
+def calc_safety_index(
+    *,
+    constants: DistanceConstants,
+    state: np.ndarray,
+    separation: Separation,
+) -> SafetyIndex:
+    """Returns the filtered index and the thresholds of every link.
+
+    A link whose sequence differs from the stored one has a new sample: the
+    filter takes one step, and the thresholds take the robot state of the
+    last control tick. Without a new sample the result is what it was, however
+    often it is asked for. A link that is not healthy keeps its index.
+
+    Args:
+        constants: Settings.
+        state: As make_initial_filter_state() tells, shape (3 m + 1,).
+        separation: What the sensing found.
+
+    Returns:
+        The index. `dsi_raw` is NaN where the link has no reading. A distance
+        or speed that is not a number makes the link FAULTED.
+    """
+    index = np.empty((7, len(separation.sequence)))
+    _calc_index(
+        constants,
+        state,
+        separation.sequence,
+        separation.distance,
+        separation.link_speed,
+        separation.k_o if constants.use_k_o else separation.k_l,
+        separation.health,
+        index,
+    )
+    return SafetyIndex(
+        name=separation.name,
+        sequence=separation.sequence,
+        time=separation.time,
+        d_C=index[0],
+        d_R=index[1],
+        dsi_raw=index[2],
+        dsi=index[3],
+        dsi_C=index[4],
+        dsi_R=index[5],
+        health=index[6].astype(np.uint8),
+    )
+
+
+def calc_next_filter_state(
+    *, state: np.ndarray, index: SafetyIndex, robot_state: float
+) -> np.ndarray:
+    """Returns the filter's state after a control tick, shape (3 m + 1,).
+
+    Args:
+        state: As before the tick.
+        index: What calc_safety_index() made of it.
+        robot_state: psi that followed from the index; not a number of
+            `RobotState`: STOP.
+    """
+    result = np.empty(len(state))
+    _calc_next_state(state, index.sequence, index.dsi, robot_state, result)
+    return result
+
+
+class DsiFilter(LeafSystem):
+    """Filters the Distance Safety Index of every link (Algorithm 1).
+
+    .. pydrake_system::
+
+        name: DsiFilter
+        input_ports:
+        - separation
+        - robot_state
+        output_ports:
+        - dsi
+
+    `separation` is a `Separation`, `dsi` a `SafetyIndex`. `robot_state` is
+    psi, which follows from `dsi`: it is stored at every control tick, and the
+    thresholds of a later sample take the stored one, so that no output
+    depends on this port directly.
+
+    `dsi` shows a new sample at the time at which it arrives. The filter takes
+    one step per sample of a link (a changed `sequence`), not one per control
+    tick; see calc_safety_index().
+
+    Args:
+        config: Settings.
+        name: The m watched links.
+    """
+
+    def __init__(
+        self, *, config: SsmConfig | None = None, name: tuple[str, ...] = RINGS
+    ):
+        super().__init__()
+        config = SsmConfig() if config is None else config
+        config.check("ssm")
+        self._constants = make_distance_constants(config)
+        self._name = tuple(name)
+
+        self._separation = self.DeclareAbstractInputPort(
+            "separation", Value(make_empty_separation(self._name))
+        )
+        self._robot_state = self.DeclareVectorInputPort("robot_state", 1)
+        self._state = self.DeclareDiscreteState(
+            make_initial_filter_state(len(self._name))
+        )
+        self._dsi = self.DeclareAbstractOutputPort(
+            "dsi",
+            alloc=Value(make_empty_safety_index(self._name)).Clone,
+            calc=self._calc_dsi,
+            prerequisites_of_calc={
+                self._separation.ticket(),
+                self.discrete_state_ticket(self._state),
+            },
+        )
+        self.DeclarePeriodicDiscreteUpdateEvent(
+            period_sec=config.period, offset_sec=0.0, update=self._update
+        )
+
+    def _calc_dsi(self, context, output):
+        separation = self._separation.Eval(context)
+        if separation.name != self._name:
+            raise ValueError(
+                f"separation is of the links {separation.name}, the filter "
+                f"was made for {self._name}"
+            )
+        output.set_value(
+            calc_safety_index(
+                constants=self._constants,
+                state=context.get_discrete_state(self._state).value(),
+                separation=separation,
+            )
+        )
+
+    def _update(self, context, discrete_state):
+        discrete_state.set_value(
+            self._state,
+            calc_next_filter_state(
+                state=context.get_discrete_state(self._state).value(),
+                index=self._dsi.Eval(context),
+                robot_state=self._robot_state.Eval(context)[0],
+            ),
+        )

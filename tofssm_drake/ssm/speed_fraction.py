@@ -1,0 +1,135 @@
+"""Smooth speed fraction of the program (the 2019 paper, Eq. 3 and II-C-2)."""
+
+import dataclasses as dc
+import math
+
+from pydrake.systems.framework import LeafSystem
+from ruckig import (
+    ControlInterface,
+    InputParameter,
+    Result,
+    Ruckig,
+    RuckigError,
+    Trajectory,
+)
+
+from tofssm_drake.messages import RobotState
+from tofssm_drake.ssm.config import SsmConfig
+
+# What rounding leaves of a profile that has arrived.
+_TOLERANCE = 1e-9
+
+
+def calc_next_speed_fraction(
+    *, config: SsmConfig, rho: float, rate: float, target: float
+) -> tuple[float, float]:
+    """Takes the speed fraction rho one control tick towards its target.
+
+    Time-optimal with limited rate and acceleration: Ruckig's velocity
+    interface with rho in the place of the velocity, which is what Reflexxes
+    Type II computes. Every tick is planned anew from the given values.
+
+    When the target drops below where rho is heading while rho still rises,
+    limited acceleration would let rho rise on for up to
+    rho_max_rate / rho_max_acceleration (0.1 s), and a stop would take that
+    much longer than T_stop. Unless `config.literal`, the rise is therefore cut
+    in that tick: rho never passes its target from below, never rises while
+    the target is 0, and from any state stops within the time and the distance
+    of a stop from rho = 1.
+
+    Args:
+        config: Settings.
+        rho: Speed fraction, in [0, 1].
+        rate: Its rate, 1/s.
+        target: Where it goes, in [0, 1].
+
+    Returns:
+        rho and rate after the tick; 0 and 0 if no profile can be planned.
+    """
+    if rho == target and rate == 0.0:
+        return rho, rate
+    highest = 1.0
+    if not config.literal:
+        highest = max(rho, target)
+        if rate > 0.0:
+            room = 2.0 * config.rho_max_acceleration * (highest - rho)
+            rate = min(rate, math.sqrt(room))
+    # New objects, because Ruckig's remember the tick before.
+    otg, trajectory, otg_input = Ruckig(1), Trajectory(1), InputParameter(1)
+    otg_input.control_interface = ControlInterface.Velocity
+    otg_input.max_acceleration = [config.rho_max_rate]
+    otg_input.max_jerk = [config.rho_max_acceleration]
+    otg_input.current_velocity = [rho]
+    otg_input.current_acceleration = [rate]
+    otg_input.target_velocity = [target]
+    try:
+        result = otg.calculate(otg_input, trajectory)
+        if result not in (Result.Working, Result.Finished):
+            return 0.0, 0.0
+        _, (next_rho,), (next_rate,) = trajectory.at_time(config.period)
+    except RuckigError:
+        return 0.0, 0.0
+    if not (math.isfinite(next_rho) and math.isfinite(next_rate)):
+        return 0.0, 0.0
+    if abs(next_rho - target) < _TOLERANCE and abs(next_rate) < _TOLERANCE:
+        return target, 0.0
+    return min(max(next_rho, 0.0), highest), next_rate
+
+
+class SpeedFractionTrajectory(LeafSystem):
+    """Turns the TriSSM state into a smooth speed fraction.
+
+    .. pydrake_system::
+
+        name: SpeedFractionTrajectory
+        input_ports:
+        - robot_state
+        output_ports:
+        - speed_fraction
+
+    `robot_state` (vector, 1) is psi; its targets are rho = 0, `rho_reduced`
+    and 1 (the paper's Eq. 3), and anything that is not a number of
+    `RobotState` stops. `speed_fraction` (vector, 1) is rho. It starts at 0.
+    The state is rho and its rate, 1/s.
+
+    Args:
+        config: Settings.
+    """
+
+    def __init__(self, *, config: SsmConfig | None = None):
+        super().__init__()
+        config = SsmConfig() if config is None else config
+        config.check("ssm")
+        self._config = dc.replace(config)
+        self._targets = {
+            float(RobotState.STOP): 0.0,
+            float(RobotState.REDUCED): config.rho_reduced,
+            float(RobotState.NORMAL): 1.0,
+        }
+        self._robot_state = self.DeclareVectorInputPort("robot_state", 1)
+        self._state = self.DeclareDiscreteState(2)
+        self.DeclareVectorOutputPort(
+            "speed_fraction",
+            1,
+            self._calc_speed_fraction,
+            prerequisites_of_calc={self.discrete_state_ticket(self._state)},
+        )
+        self.DeclarePeriodicDiscreteUpdateEvent(
+            period_sec=config.period, offset_sec=0.0, update=self._update
+        )
+
+    def _calc_speed_fraction(self, context, output):
+        output[0] = context.get_discrete_state(self._state).value()[0]
+
+    def _update(self, context, discrete_state):
+        rho, rate = context.get_discrete_state(self._state).value()
+        target = self._targets.get(self._robot_state.Eval(context)[0], 0.0)
+        discrete_state.set_value(
+            self._state,
+            calc_next_speed_fraction(
+                config=self._config,
+                rho=float(rho),
+                rate=float(rate),
+                target=target,
+            ),
+        )
