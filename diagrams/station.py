@@ -25,6 +25,7 @@ from tofssm_drake.robot.program import PickAndPlaceProgram
 from tofssm_drake.robot.sim_ur10 import make_sim_ur10
 from tofssm_drake.robot.twin import make_cell_plant
 from tofssm_drake.sensing.ring_mount import find_ring_mount
+from tofssm_drake.sensing.scene_poses import ScenePoses
 from tofssm_drake.sensing.tof_ring import TofRing, make_ring_bundles
 from tofssm_drake.sensing.vl53l1x import NOISE_DRAWS, draw_sensor_errors
 
@@ -35,8 +36,7 @@ class Station:
 
     diagram: Diagram
     plant: MultibodyPlant
-    """Robot, cell and products as registered with `scene_graph`: the bodies
-    of the port `body_poses`, in the same order."""
+    """Robot, cell and products as registered with `scene_graph`."""
     scene_graph: SceneGraph
     """The world that the rings see."""
     avatar: HumanAvatar | None
@@ -63,12 +63,10 @@ def make_station(scenario: Scenario) -> Station:
         - products_placed
         - task_done
         - geometry_query
-        - body_poses
-        - body_spatial_velocities
         - skeleton
 
     The monitor may look at the scans and at what the robot reports
-    (`position_measured` to `products_placed`). The last four ports are the
+    (`position_measured` to `products_placed`). The last two ports are the
     world's truth, for evaluation and display only.
 
     Args:
@@ -101,11 +99,38 @@ def make_station(scenario: Scenario) -> Station:
         robot.GetInputPort("motion_commanded"),
     )
 
+    layout = ProductLayout.from_config(scenario.program)
     _show_robot_and_products(
-        builder, scenario, scene_graph, plant, kinematics, robot, program
+        builder, layout, scene_graph, plant, kinematics, robot, program
     )
     avatar = _add_avatar(builder, scenario, scene_graph)
-    _add_rings(builder, scenario, scene_graph, plant)
+    if avatar is None:
+        person = builder.AddNamedSystem("nobody", ConstantVectorSource([]))
+        skeleton = person.get_output_port()
+    else:
+        skeleton = avatar.GetOutputPort("skeleton")
+    caster = RayCaster(scene_graph.model_inspector())
+    rings = _add_rings(builder, scenario, scene_graph, plant, caster)
+    poses = builder.AddNamedSystem(
+        "scene_poses",
+        ScenePoses(
+            caster=caster,
+            plant=plant,
+            layout=layout,
+            human_frame_ids=[] if avatar is None else avatar.frame_ids,
+        ),
+    )
+    for port, name in (
+        (robot.GetOutputPort("position_measured"), "position_measured"),
+        (program.GetOutputPort("gripper_closed"), "gripper_closed"),
+        (program.GetOutputPort("products_placed"), "products_placed"),
+        (skeleton, "skeleton"),
+    ):
+        builder.Connect(port, poses.GetInputPort(name))
+    for ring in rings:
+        builder.Connect(
+            poses.get_output_port(), ring.GetInputPort("frame_poses")
+        )
 
     builder.ExportInput(
         program.GetInputPort("speed_fraction"), "speed_fraction"
@@ -115,13 +140,7 @@ def make_station(scenario: Scenario) -> Station:
     for name in ("gripper_closed", "products_placed", "task_done"):
         builder.ExportOutput(program.GetOutputPort(name), name)
     builder.ExportOutput(scene_graph.get_query_output_port(), "geometry_query")
-    for name in ("body_poses", "body_spatial_velocities"):
-        builder.ExportOutput(robot.GetOutputPort(name), name)
-    if avatar is None:
-        nobody = builder.AddNamedSystem("nobody", ConstantVectorSource([]))
-        builder.ExportOutput(nobody.get_output_port(), "skeleton")
-    else:
-        builder.ExportOutput(avatar.GetOutputPort("skeleton"), "skeleton")
+    builder.ExportOutput(skeleton, "skeleton")
 
     diagram = builder.Build()
     diagram.set_name("station")
@@ -135,15 +154,12 @@ def make_station(scenario: Scenario) -> Station:
 
 
 def _show_robot_and_products(
-    builder, scenario, scene_graph, plant, kinematics, robot, program
+    builder, layout, scene_graph, plant, kinematics, robot, program
 ):
     """Poses what is seen of robot and products from what the robot reports."""
     carrier = builder.AddNamedSystem(
         "products",
-        ProductCarrier(
-            layout=ProductLayout.from_config(scenario.program),
-            kinematics=kinematics,
-        ),
+        ProductCarrier(layout=layout, kinematics=kinematics),
     )
     builder.Connect(
         robot.GetOutputPort("position_measured"),
@@ -152,7 +168,7 @@ def _show_robot_and_products(
     for name in ("gripper_closed", "products_placed"):
         builder.Connect(program.GetOutputPort(name), carrier.GetInputPort(name))
     positions = builder.AddNamedSystem(
-        "positions", Multiplexer([6, 7 * scenario.program.products])
+        "positions", Multiplexer([6, 7 * len(layout)])
     )
     builder.Connect(
         robot.GetOutputPort("position_measured"), positions.get_input_port(0)
@@ -186,10 +202,10 @@ def _add_avatar(builder, scenario, scene_graph):
     return avatar
 
 
-def _add_rings(builder, scenario, scene_graph, plant):
-    """Adds a ring of sensors with its noise per ring; exports the scans."""
+def _add_rings(builder, scenario, scene_graph, plant, caster):
+    """Adds the rings and their noise, exports the scans, returns the rings."""
     inspector = scene_graph.model_inspector()
-    caster = RayCaster(inspector)
+    rings = []
     for index, (name, phase) in enumerate(
         zip(RINGS, scenario.ring_phases, strict=True)
     ):
@@ -225,8 +241,6 @@ def _add_rings(builder, scenario, scene_graph, plant):
             ),
         )
         builder.Connect(noise.get_output_port(), ring.GetInputPort("noise"))
-        builder.Connect(
-            scene_graph.get_query_output_port(),
-            ring.GetInputPort("geometry_query"),
-        )
         builder.ExportOutput(ring.GetOutputPort("scan"), f"scan_{name}")
+        rings.append(ring)
+    return rings

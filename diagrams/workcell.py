@@ -63,25 +63,22 @@ def make_workcell(
 
 
 def _add_ground_truth(builder, station):
-    plant = station.plant
     avatar = station.avatar
     truth = builder.AddNamedSystem(
         "ground_truth",
         GroundTruth(
-            plant=plant,
+            plant=station.plant,
             inspector=station.scene_graph.model_inspector(),
-            models=[
-                plant.GetModelInstanceByName(name)
-                for name in ("ur10", "gripper")
-            ],
-            ring_frames=[plant.GetFrameByName(f"{r}_ring") for r in RINGS],
-            tcp_frame=plant.GetFrameByName("tcp"),
             radii=[] if avatar is None else avatar.radii,
         ),
     )
-    for name in ("body_poses", "body_spatial_velocities", "skeleton"):
+    for port, name in (
+        ("position", "position_measured"),
+        ("velocity", "velocity_measured"),
+        ("skeleton", "skeleton"),
+    ):
         builder.Connect(
-            station.diagram.GetOutputPort(name), truth.GetInputPort(name)
+            station.diagram.GetOutputPort(name), truth.GetInputPort(port)
         )
     return truth
 

@@ -30,7 +30,8 @@ class RingPlace:
 
 # The z axis of a ring is its axis, outwards along the arm; x is the beam of
 # sensor 0. On the two arms x is the joint axis, hence the direction of the
-# sweep: sensors 0 and n/2 look where the arm goes.
+# sweep: sensors 0 and n/2 look where the arm goes. At the tool x is the tool's
+# x axis, which the default program also keeps along the sweep.
 RINGS = (
     RingPlace(
         name="base",

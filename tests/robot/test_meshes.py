@@ -91,10 +91,15 @@ class TestMeshes(unittest.TestCase):
 
     def test_replace(self):
         scene_graph = SceneGraph()
-        plant = make_cell_plant(scene_graph=scene_graph, sensors_per_ring=0)
+        plant = make_cell_plant(scene_graph=scene_graph)
         inspector = scene_graph.model_inspector()
         before = len(inspector.GetAllGeometryIds(Role.kProximity))
         mut.replace_robot_shapes(plant, scene_graph)
+        names = {
+            inspector.GetName(geometry_id)
+            for geometry_id in inspector.GetAllGeometryIds(Role.kIllustration)
+        }
+        self.assertIn("elbow_ring_band", names)
         self.assertEqual(
             len(inspector.GetAllGeometryIds(Role.kProximity)), before
         )
@@ -105,7 +110,11 @@ class TestMeshes(unittest.TestCase):
                 (Role.kPerception, ".obj"),
                 (Role.kIllustration, ".gltf"),
             ):
-                (geometry_id,) = inspector.GetGeometries(frame_id, role)
+                (geometry_id,) = (
+                    geometry_id
+                    for geometry_id in inspector.GetGeometries(frame_id, role)
+                    if "_ring_" not in inspector.GetName(geometry_id)
+                )
                 shape = inspector.GetShape(geometry_id)
                 self.assertIsInstance(shape, Mesh)
                 self.assertEqual(shape.extension(), extension)

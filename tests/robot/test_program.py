@@ -4,6 +4,7 @@ import unittest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 import numpy as np
+from pydrake.common.yaml import yaml_load_typed
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import MultibodyForces
 from pydrake.systems.analysis import Simulator
@@ -42,6 +43,17 @@ def calc_tcp(q):
 class TestConfig(unittest.TestCase):
     def test_default_is_valid(self):
         mut.ProgramConfig().check("program")
+
+    def test_yaml(self):
+        loaded = yaml_load_typed(
+            schema=mut.ProgramConfig,
+            data="{products: 4, pick_center: [0.1, -0.8, 0.73]}",
+            defaults=mut.ProgramConfig(),
+        )
+        self.assertEqual(
+            loaded,
+            mut.ProgramConfig(products=4, pick_center=[0.1, -0.8, 0.73]),
+        )
 
     def test_wrong_settings_are_named(self):
         for name, value in (

@@ -1,3 +1,4 @@
+import functools
 import unittest
 
 import numpy as np
@@ -14,9 +15,15 @@ from tofssm_drake.robot.program import ProgramConfig, make_program_path
 import tofssm_drake.robot.twin as mut
 
 
+@functools.cache
+def make_twin():
+    scene_graph = SceneGraph()
+    return mut.make_twin_plant(scene_graph=scene_graph), scene_graph
+
+
 class TestCellPlant(unittest.TestCase):
     def test_positions(self):
-        plant = mut.make_twin_plant(scene_graph=SceneGraph())
+        plant, _ = make_twin()
         self.assertEqual(plant.num_positions(), 6 + 70)
         names = plant.GetPositionNames()
         self.assertTrue(names[0].startswith("ur10_shoulder_pan"))
@@ -27,7 +34,7 @@ class TestCellPlant(unittest.TestCase):
         """Body poses of the plant that moves and of the one that is seen may
         be mixed up: their bodies must agree."""
         plain = mut.make_cell_plant()
-        seen = mut.make_twin_plant(scene_graph=SceneGraph())
+        seen, _ = make_twin()
         for instance in range(plain.num_model_instances()):
             index = ModelInstanceIndex(instance)
             for body in plain.GetBodyIndices(index):
@@ -67,8 +74,7 @@ class TestCellPlant(unittest.TestCase):
 class TestTwin(unittest.TestCase):
     @classmethod
     def setUpClass(cls):
-        cls.scene_graph = SceneGraph()
-        cls.plant = mut.make_twin_plant(scene_graph=cls.scene_graph)
+        cls.plant, cls.scene_graph = make_twin()
         cls.kinematics = RingKinematics.from_plant(cls.plant)
         cls.layout = ProductLayout.from_config(ProgramConfig())
 
@@ -217,3 +223,44 @@ class TestSensorsAreOutside(unittest.TestCase):
                             (frames[i].name(), inspector.GetName(one.id_G), s),
                         )
         self.assertLess(nearest, 0.3)
+
+
+class TestPathIsClear(unittest.TestCase):
+    def test_robot_touches_nothing(self):
+        """Checks the whole nominal motion for collisions of the robot and
+        its gripper with the cell and with itself."""
+        builder = DiagramBuilder()
+        scene_graph = builder.AddSystem(SceneGraph())
+        plant = mut.make_cell_plant(scene_graph=scene_graph)
+        poses = builder.AddSystem(MultibodyPositionToGeometryPose(plant))
+        builder.Connect(
+            poses.get_output_port(),
+            scene_graph.get_source_pose_port(plant.get_source_id()),
+        )
+        builder.ExportInput(poses.get_input_port(), "positions")
+        diagram = builder.Build()
+        context = diagram.CreateDefaultContext()
+        inspector = scene_graph.model_inspector()
+        path = make_program_path(
+            ProgramConfig(), RingKinematics.from_plant(plant)
+        )
+        nearest = np.inf
+        for s in np.arange(0, path.duration, 0.05):
+            diagram.GetInputPort("positions").FixValue(
+                context, path.calc_motion(s)[0]
+            )
+            query = scene_graph.get_query_output_port().Eval(
+                scene_graph.GetMyContextFromRoot(context)
+            )
+            for pair in query.ComputeSignedDistancePairwiseClosestPoints(0.05):
+                nearest = min(nearest, pair.distance)
+                self.assertGreater(
+                    pair.distance,
+                    0.003,
+                    (
+                        inspector.GetName(pair.id_A),
+                        inspector.GetName(pair.id_B),
+                        s,
+                    ),
+                )
+        self.assertLess(nearest, 0.05)

@@ -1,64 +1,98 @@
 """True distance between robot and person, from the simulated world."""
 
+import dataclasses as dc
 import functools
 
 from numba import njit
 import numpy as np
 from pydrake.geometry import Capsule, SceneGraphInspector, Sphere
 from pydrake.multibody.plant import MultibodyPlant
-from pydrake.multibody.tree import BodyIndex, Frame, ModelInstanceIndex
 from pydrake.systems.framework import LeafSystem
 
 from tofssm_drake.evaluation.truth import TruthLayout
 from tofssm_drake.geometry.distance import closest_capsules
+from tofssm_drake.messages import RINGS
+from tofssm_drake.robot.kinematics import (
+    UR10_JOINTS,
+    RingKinematics,
+    calc_link_poses,
+    calc_sites,
+)
 
 
+@dc.dataclass(frozen=True, eq=False, kw_only=True)
 class RobotCapsules:
-    """The robot's surface as capsules fixed to its bodies.
+    """The robot's surface as capsules that ride on its links."""
 
-    Attributes:
-        bodies: Indices of the bodies with geometry in the plant, (n,).
-        body_names: Their names.
-        shape_body: For each of g capsules, position in `bodies`, (g,).
-        p_BP: First end of each capsule in its body's frame, (g, 3).
-        p_BQ: Second end, equal to the first for a sphere, (g, 3).
-        radius: Radii, (g,).
-    """
+    link: np.ndarray
+    """Link of each of g capsules: 0 base, i behind joint i - 1, (g,)."""
+    p_AP: np.ndarray
+    """First end of each in its link's frame, m, (g, 3)."""
+    p_AQ: np.ndarray
+    """Second end, equal to the first for a sphere, m, (g, 3)."""
+    radius: np.ndarray
+    """Radii, m, (g,)."""
+    body: np.ndarray
+    """Index of each capsule's body in `body_names`, (g,)."""
+    body_names: list[str]
+    """Names of the bodies that have geometry."""
 
-    def __init__(self, *, plant, inspector, models):
-        """Reads the proximity geometry of the given model instances.
+    @staticmethod
+    def from_plant(
+        plant: MultibodyPlant,
+        inspector: SceneGraphInspector,
+        *,
+        joints: tuple[str, ...] = UR10_JOINTS,
+        models: tuple[str, ...] = ("ur10", "gripper"),
+    ) -> "RobotCapsules":
+        """Reads the proximity geometry of the robot.
 
         Args:
             plant: Finalized plant, registered with a SceneGraph.
-            inspector: That SceneGraph's model inspector.
-            models: Model instances that make up the robot (arm, gripper).
+            inspector: Its SceneGraph's model inspector.
+            joints: Names of the joints, base to flange.
+            models: Names of the model instances that make up the robot.
 
         Raises:
             ValueError: if a shape is neither a sphere nor a capsule, or if
                 there is none.
         """
-        bodies, shape_body, p, q, radius = [], [], [], [], []
+        context = plant.CreateDefaultContext()
+        chain = [plant.GetJointByName(joints[0]).parent_body()]
+        chain += [plant.GetJointByName(name).child_body() for name in joints]
+        link_of = {
+            body.index(): i
+            for i, link in enumerate(chain)
+            for body in (link, *plant.GetBodiesWeldedTo(link))
+        }
+        link, p, q, radius, bodies, names = [], [], [], [], [], []
         for model in models:
-            for index in plant.GetBodyIndices(model):
+            instance = plant.GetModelInstanceByName(model)
+            for index in plant.GetBodyIndices(instance):
                 body = plant.get_body(index)
                 ids = plant.GetCollisionGeometriesForBody(body)
                 if not ids:
                     continue
+                anchor = chain[link_of[index]].body_frame()
+                X_AB = body.body_frame().CalcPose(context, anchor)
                 for geometry_id in ids:
                     p_BP, p_BQ, r = _read_capsule(inspector, geometry_id)
-                    shape_body.append(len(bodies))
-                    p.append(p_BP)
-                    q.append(p_BQ)
+                    link.append(link_of[index])
+                    p.append(X_AB @ p_BP)
+                    q.append(X_AB @ p_BQ)
                     radius.append(r)
-                bodies.append(int(index))
-        if not bodies:
+                    bodies.append(len(names))
+                names.append(body.name())
+        if not names:
             raise ValueError("The robot has no proximity geometry.")
-        self.bodies = np.array(bodies)
-        self.body_names = [plant.get_body(BodyIndex(i)).name() for i in bodies]
-        self.shape_body = np.array(shape_body)
-        self.p_BP = np.array(p)
-        self.p_BQ = np.array(q)
-        self.radius = np.array(radius)
+        return RobotCapsules(
+            link=np.array(link),
+            p_AP=np.array(p),
+            p_AQ=np.array(q),
+            radius=np.array(radius),
+            body=np.array(bodies),
+            body_names=names,
+        )
 
 
 def _read_capsule(inspector, geometry_id):
@@ -78,180 +112,162 @@ def _read_capsule(inspector, geometry_id):
 
 
 @njit(cache=True)
-def _pose_point(X, p):
-    x = np.empty(3)
-    for i in range(3):
-        x[i] = X[i, 0] * p[0] + X[i, 1] * p[1] + X[i, 2] * p[2] + X[i, 3]
-    return x
+def _point_speed(X_WA, qd, link, p):
+    """Speed of the point p (in world) that rides on a link, m/s."""
+    vx, vy, vz = 0.0, 0.0, 0.0
+    for i in range(1, link + 1):
+        wx = X_WA[i, 0, 2] * qd[i - 1]
+        wy = X_WA[i, 1, 2] * qd[i - 1]
+        wz = X_WA[i, 2, 2] * qd[i - 1]
+        rx, ry, rz = (
+            p[0] - X_WA[i, 0, 3],
+            p[1] - X_WA[i, 1, 3],
+            p[2] - X_WA[i, 2, 3],
+        )
+        vx += wy * rz - wz * ry
+        vy += wz * rx - wx * rz
+        vz += wx * ry - wy * rx
+    return np.sqrt(vx * vx + vy * vy + vz * vz)
 
 
 @njit(cache=True)
-def _pose_capsules(X_WB, shape_body, p_BP, p_BQ):
-    g = shape_body.shape[0]
+def _pose_point(X, p, out):
+    for i in range(3):
+        out[i] = X[i, 0] * p[0] + X[i, 1] * p[1] + X[i, 2] * p[2] + X[i, 3]
+
+
+@njit(cache=True)
+def _measure(a_p, a_q, a_r, i, b_p, b_q, b_r, j):
+    d, _, _, p_A, _ = closest_capsules(
+        a_p[i : i + 1],
+        a_q[i : i + 1],
+        a_r[i : i + 1],
+        b_p[j : j + 1],
+        b_q[j : j + 1],
+        b_r[j : j + 1],
+    )
+    return d, p_A
+
+
+@njit(cache=True)
+def _find_nearest_axis_point(x, y, z, p, q, r):
+    """Nearest point of the axes of the capsules, as seen from their skins.
+
+    Returns:
+        (distance to the surface, and the vector to the axis point); inf and
+        NaN if there is no capsule.
+    """
+    best, best_x, best_y, best_z = np.inf, np.nan, np.nan, np.nan
+    for j in range(r.shape[0]):
+        ux, uy, uz = q[j, 0] - p[j, 0], q[j, 1] - p[j, 1], q[j, 2] - p[j, 2]
+        vx, vy, vz = p[j, 0] - x, p[j, 1] - y, p[j, 2] - z
+        length2 = ux * ux + uy * uy + uz * uz
+        t = 0.0
+        if length2 > 0.0:
+            t = -(vx * ux + vy * uy + vz * uz) / length2
+            t = min(max(t, 0.0), 1.0)
+        vx, vy, vz = vx + t * ux, vy + t * uy, vz + t * uz
+        d = np.sqrt(vx * vx + vy * vy + vz * vz) - r[j]
+        if d < best:
+            best, best_x, best_y, best_z = d, vx, vy, vz
+    return best, best_x, best_y, best_z
+
+
+@njit(cache=True)
+def calc_truth(
+    X_WB,
+    X_PJ,
+    site_link,
+    X_AS,
+    link,
+    p_AP,
+    p_AQ,
+    radius,
+    body,
+    q,
+    qd,
+    ends,
+    part_radius,
+    pelvis,
+):
+    """Returns the vector that `TruthLayout` describes (compiled).
+
+    Args:
+        X_WB: See `RingKinematics`, like the next three.
+        X_PJ: As above.
+        site_link: As above.
+        X_AS: As above.
+        link: See `RobotCapsules`, like the next four.
+        p_AP: As above.
+        p_AQ: As above.
+        radius: As above.
+        body: As above.
+        q: Joint angles, rad, (n,).
+        qd: Joint speeds, rad/s, (n,).
+        ends: Both ends of the person's capsules in world, m, (c, 2, 3).
+        part_radius: Their radii, m, (c,).
+        pelvis: Index of the capsule that tells where the person is.
+    """
+    X_WA = np.empty((q.shape[0] + 1, 3, 4))
+    calc_link_poses(X_WB, X_PJ, q, X_WA)
+    g = link.shape[0]
     p_WP = np.empty((g, 3))
     p_WQ = np.empty((g, 3))
     for i in range(g):
-        X = X_WB[shape_body[i]]
-        p_WP[i] = _pose_point(X, p_BP[i])
-        p_WQ[i] = _pose_point(X, p_BQ[i])
-    return p_WP, p_WQ
+        _pose_point(X_WA[link[i]], p_AP[i], p_WP[i])
+        _pose_point(X_WA[link[i]], p_AQ[i], p_WQ[i])
+    part_p = np.ascontiguousarray(ends[:, 0])
+    part_q = np.ascontiguousarray(ends[:, 1])
 
-
-@njit(cache=True)
-def _point_speed(X, V, p):
-    """Speed of the point p (world) that is fixed to the body of X and V."""
-    x, y, z = p[0] - X[0, 3], p[1] - X[1, 3], p[2] - X[2, 3]
-    v0 = V[3] + V[1] * z - V[2] * y
-    v1 = V[4] + V[2] * x - V[0] * z
-    v2 = V[5] + V[0] * y - V[1] * x
-    return np.sqrt(v0 * v0 + v1 * v1 + v2 * v2)
-
-
-@njit(cache=True)
-def calc_distances(
-    X_WB, shape_body, p_BP, p_BQ, radius, part_p, part_q, part_r, X_WL, out
-):
-    """Distance robot to person and link centres to person (compiled).
-
-    Args:
-        X_WB: Poses of the robot's bodies, (n, 3, 4).
-        shape_body: Body of each robot capsule, (g,).
-        p_BP: First ends of the robot's capsules in their bodies, (g, 3).
-        p_BQ: Second ends, (g, 3).
-        radius: Their radii, m, (g,).
-        part_p: First ends of the person's capsules in world, (c, 3).
-        part_q: Second ends, (c, 3).
-        part_r: Their radii, m, (c,).
-        X_WL: Poses of the link centres (ring frames), (m, 3, 4).
-        out: Filled in: distance, p_WR (3), p_WH (3), robot capsule's body,
-            person's capsule, then distance, azimuth and elevation of the
-            person from each link centre (m each); 9 + 3 m values. The
-            distance from a link centre is to the person's surface.
-    """
-    p_WP, p_WQ = _pose_capsules(X_WB, shape_body, p_BP, p_BQ)
+    m = site_link.shape[0] - 1
+    truth = np.empty(16 + 3 * m)
     d, i, j, p_WR, p_WH = closest_capsules(
-        p_WP, p_WQ, radius, part_p, part_q, part_r
+        p_WP, p_WQ, radius, part_p, part_q, part_radius
     )
-    out[0] = d
-    out[1:4] = p_WR
-    out[4:7] = p_WH
-    out[7] = -1 if i < 0 else shape_body[i]
-    out[8] = j
-    m = X_WL.shape[0]
-    point = np.empty((1, 3))
-    zero = np.zeros(1)
+    truth[0] = d
+    truth[1:4] = p_WR
+    truth[4:7] = p_WH
+    truth[7] = -1 if i < 0 else body[i]
+    truth[8] = j
+    truth[9] = 0.0
+    if d <= 0.0:
+        touching = False
+        for i in range(g):
+            for j in range(part_radius.shape[0]):
+                d, p_WR = _measure(
+                    p_WP, p_WQ, radius, i, part_p, part_q, part_radius, j
+                )
+                if d <= 0.0:
+                    speed = _point_speed(X_WA, qd, link[i], p_WR)
+                    if not touching or speed > truth[9]:
+                        truth[7] = body[i]
+                        truth[8] = j
+                        truth[9] = speed
+                        touching = True
+
+    X_WS = np.empty((m + 1, 3, 4))
+    v_WS = np.empty((m + 1, 3))
+    calc_sites(X_WB, X_PJ, site_link, X_AS, q, qd, X_WS, v_WS)
+    truth[10:13] = X_WS[m, :, 3]
+    truth[13] = np.sqrt(np.sum(v_WS[m] * v_WS[m]))
+    if part_radius.shape[0]:
+        truth[14] = 0.5 * (part_p[pelvis, 0] + part_q[pelvis, 0])
+        truth[15] = 0.5 * (part_p[pelvis, 1] + part_q[pelvis, 1])
+    else:
+        truth[14:16] = np.nan
     for k in range(m):
-        X = X_WL[k]
-        point[0] = X[:, 3]
-        d, i, j, _, p = closest_capsules(
-            point, point, zero, part_p, part_q, part_r
+        X = X_WS[k]
+        # The surface's nearest point lies in the direction of the axis'.
+        d, v0, v1, v2 = _find_nearest_axis_point(
+            X[0, 3], X[1, 3], X[2, 3], part_p, part_q, part_radius
         )
-        v0, v1, v2 = p[0] - X[0, 3], p[1] - X[1, 3], p[2] - X[2, 3]
         x = X[0, 0] * v0 + X[1, 0] * v1 + X[2, 0] * v2
         y = X[0, 1] * v0 + X[1, 1] * v1 + X[2, 1] * v2
         z = X[0, 2] * v0 + X[1, 2] * v1 + X[2, 2] * v2
-        out[9 + k] = d
-        out[9 + m + k] = np.arctan2(y, x)
-        out[9 + 2 * m + k] = np.arctan2(z, np.hypot(x, y))
-
-
-@njit(cache=True)
-def _calc_truth(
-    X_WB,
-    V_WT,
-    shape_body,
-    p_BP,
-    p_BQ,
-    radius,
-    ends,
-    part_r,
-    frame_body,
-    X_BF,
-    pelvis,
-):
-    """Fills TruthLayout's vector but for the contact speed.
-
-    The frames are the m link centres and then the tool centre point.
-    """
-    m = frame_body.shape[0] - 1
-    X_WF = np.empty((m + 1, 3, 4))
-    for k in range(m + 1):
-        X = X_WB[frame_body[k]]
-        for i in range(3):
-            for j in range(4):
-                total = X[i, 3] if j == 3 else 0.0
-                for h in range(3):
-                    total += X[i, h] * X_BF[k, h, j]
-                X_WF[k, i, j] = total
-    out = np.empty(9 + 3 * m)
-    part_p = np.ascontiguousarray(ends[:, 0])
-    part_q = np.ascontiguousarray(ends[:, 1])
-    calc_distances(
-        X_WB,
-        shape_body,
-        p_BP,
-        p_BQ,
-        radius,
-        part_p,
-        part_q,
-        part_r,
-        X_WF[:m],
-        out,
-    )
-    truth = np.empty(16 + 3 * m)
-    truth[:9] = out[:9]
-    truth[9] = 0.0
-    truth[10:13] = X_WF[m, :, 3]
-    truth[13] = _point_speed(X_WB[frame_body[m]], V_WT, X_WF[m, :, 3])
-    if part_r.shape[0]:
-        truth[14:16] = 0.5 * (part_p[pelvis, :2] + part_q[pelvis, :2])
-    else:
-        truth[14:16] = np.nan
-    truth[16:] = out[9:]
+        truth[16 + k] = d
+        truth[16 + m + k] = np.arctan2(y, x)
+        truth[16 + 2 * m + k] = np.arctan2(z, np.hypot(x, y))
     return truth
-
-
-@njit(cache=True)
-def calc_contact_speed(
-    X_WB, V_WB, shape_body, p_BP, p_BQ, radius, part_p, part_q, part_r
-):
-    """Speed of the fastest robot point that touches the person (compiled).
-
-    Args:
-        X_WB: Poses of the robot's bodies, (n, 3, 4).
-        V_WB: Spatial velocities of the bodies in world (rotational, then
-            translational), (n, 6).
-        shape_body: Body of each robot capsule, (g,).
-        p_BP: First ends of the robot's capsules in their bodies, (g, 3).
-        p_BQ: Second ends, (g, 3).
-        radius: Their radii, m, (g,).
-        part_p: First ends of the person's capsules in world, (c, 3).
-        part_q: Second ends, (c, 3).
-        part_r: Their radii, m, (c,).
-
-    Returns:
-        (speed, body, part): over all overlapping pairs, the largest speed of
-        the robot's witness point, m/s, and that pair; 0, -1, -1 if nothing
-        overlaps.
-    """
-    p_WP, p_WQ = _pose_capsules(X_WB, shape_body, p_BP, p_BQ)
-    best, best_body, best_part = 0.0, -1, -1
-    for i in range(radius.shape[0]):
-        for j in range(part_r.shape[0]):
-            d, _, _, p_WR, _ = closest_capsules(
-                p_WP[i : i + 1],
-                p_WQ[i : i + 1],
-                radius[i : i + 1],
-                part_p[j : j + 1],
-                part_q[j : j + 1],
-                part_r[j : j + 1],
-            )
-            if d <= 0.0:
-                b = shape_body[i]
-                speed = _point_speed(X_WB[b], V_WB[b], p_WR)
-                if best_body < 0 or speed > best:
-                    best, best_body, best_part = speed, b, j
-    return best, best_body, best_part
 
 
 class GroundTruth(LeafSystem):
@@ -261,8 +277,8 @@ class GroundTruth(LeafSystem):
 
         name: GroundTruth
         input_ports:
-        - body_poses
-        - body_spatial_velocities
+        - position
+        - velocity
         - skeleton
         output_ports:
         - truth
@@ -271,9 +287,9 @@ class GroundTruth(LeafSystem):
         - ring_distance
         - contact_speed
 
-    `body_poses` and `body_spatial_velocities` come from the simulated plant,
-    `skeleton` (6 c numbers: both ends of each of c capsules, m, in world)
-    from the avatar. The outputs: `truth`, everything at once, laid out as
+    `position` (rad) and `velocity` (rad/s) are the robot's true joints,
+    `skeleton` (6 c numbers: both ends of each of c capsules, m, in world) is
+    the avatar's. The outputs: `truth`, everything at once, laid out as
     `TruthLayout` says; `distance` (1), least distance between the surfaces
     of robot and person, m, negative where they overlap; `witness` (6), the
     points p_WR and p_WH where it is attained; `ring_distance` (m), from each
@@ -281,21 +297,26 @@ class GroundTruth(LeafSystem):
     fastest robot point that touches the person, m/s, 0 if none does.
 
     While they touch, robot_body and person_part of `truth` name the pair
-    whose robot point is the fastest. Without a person (no radii) distances
-    are inf, points and angles NaN, and `skeleton` may stay unconnected.
+    whose robot point is the fastest. A product in the gripper is not a part
+    of the robot. Without a person (no radii) distances are inf, points and
+    angles NaN, and `skeleton` may stay unconnected.
+
+    The joints stand for the plant's body poses: the tests hold both equal,
+    and it costs a tenth of reading the poses in Python.
 
     Args:
-        plant: Finalized plant of the world.
-        inspector: Its SceneGraph's model inspector, read once.
-        models: Model instances of the robot (arm, gripper). Their proximity
-            geometry must be capsules and spheres.
-        ring_frames: Frames of the m watched link centres, z along the link.
-        tcp_frame: Frame of the tool centre point.
+        plant: Finalized plant with the robot, its ring frames and its tool
+            frame, registered with a SceneGraph.
+        inspector: Its SceneGraph's model inspector. Both are read once.
         radii: Radii of the person's capsules, m, (c,).
+        rings: Names of the m watched links, whose frames are `<name>_ring`.
+        models: Names of the model instances that make up the robot. Their
+            proximity geometry must be capsules and spheres.
         pelvis: Index of the capsule whose centre is the person's place.
 
     Raises:
         ValueError: if a robot shape is neither capsule nor sphere.
+        UserError: if the plant lacks a joint or a frame.
     """
 
     def __init__(
@@ -303,72 +324,62 @@ class GroundTruth(LeafSystem):
         *,
         plant: MultibodyPlant,
         inspector: SceneGraphInspector,
-        models: list[ModelInstanceIndex],
-        ring_frames: list[Frame],
-        tcp_frame: Frame,
         radii: np.ndarray,
+        rings: tuple[str, ...] = RINGS,
+        models: tuple[str, ...] = ("ur10", "gripper"),
         pelvis: int = 0,
     ):
         super().__init__()
-        robot = RobotCapsules(plant=plant, inspector=inspector, models=models)
+        robot = RobotCapsules.from_plant(plant, inspector, models=models)
+        kinematics = RingKinematics.from_plant(plant, rings=rings)
         self.body_names = robot.body_names
-        self._layout = TruthLayout(len(ring_frames))
-        self._shapes = (
-            robot.shape_body,
-            robot.p_BP,
-            robot.p_BQ,
-            robot.radius,
-        )
+        self._layout = TruthLayout(len(rings))
         self._radii = np.array(radii, dtype=float).ravel()
         self._pelvis = pelvis
-        frames = [*ring_frames, tcp_frame]
-        frame_bodies = [int(frame.body().index()) for frame in frames]
-        # Robot bodies first, then what only carries a frame.
-        extra = sorted(set(frame_bodies) - set(robot.bodies.tolist()))
-        self._bodies = [*robot.bodies.tolist(), *extra]
-        self._tcp_body = frame_bodies[-1]
-        self._frame_body = np.array(
-            [self._bodies.index(b) for b in frame_bodies]
-        )
-        self._X_BF = np.array(
-            [f.GetFixedPoseInBodyFrame().GetAsMatrix34() for f in frames]
+        self._robot = (
+            kinematics.X_WB,
+            kinematics.X_PJ,
+            kinematics.site_link,
+            kinematics.X_AS,
+            robot.link,
+            robot.p_AP,
+            robot.p_AQ,
+            robot.radius,
+            robot.body,
         )
 
-        self._poses_port = self.DeclareAbstractInputPort(
-            "body_poses", plant.get_body_poses_output_port().Allocate()
-        )
-        self._velocities_port = self.DeclareAbstractInputPort(
-            "body_spatial_velocities",
-            plant.get_body_spatial_velocities_output_port().Allocate(),
-        )
+        n = len(kinematics.X_PJ)
+        self._position_port = self.DeclareVectorInputPort("position", n)
+        self._velocity_port = self.DeclareVectorInputPort("velocity", n)
         self._skeleton_port = self.DeclareVectorInputPort(
             "skeleton", 6 * len(self._radii)
         )
         inputs = {
-            self._poses_port.ticket(),
-            self._velocities_port.ticket(),
+            self._position_port.ticket(),
+            self._velocity_port.ticket(),
             self._skeleton_port.ticket(),
         }
+        layout = self._layout
         self._truth_port = self.DeclareVectorOutputPort(
             "truth",
-            self._layout.size,
+            layout.size,
             self._calc_truth,
             prerequisites_of_calc=inputs,
         )
-        layout = self._layout
-        for name, where in (
-            ("distance", slice(0, 1)),
-            ("witness", slice(layout.p_WR.start, layout.p_WH.stop)),
-            ("ring_distance", layout.ring_distance),
+        for name, first, last in (
+            ("distance", layout.distance, layout.distance + 1),
+            ("witness", layout.p_WR.start, layout.p_WH.stop),
             (
-                "contact_speed",
-                slice(layout.contact_speed, layout.contact_speed + 1),
+                "ring_distance",
+                layout.ring_distance.start,
+                layout.ring_distance.stop,
             ),
+            ("contact_speed", layout.contact_speed, layout.contact_speed + 1),
         ):
             self.DeclareVectorOutputPort(
                 name,
-                where.stop - where.start,
-                functools.partial(self._calc_part, where=where),
+                last - first,
+                functools.partial(self._calc_part, where=slice(first, last)),
                 prerequisites_of_calc=inputs,
             )
 
@@ -376,37 +387,17 @@ class GroundTruth(LeafSystem):
         output.SetFromVector(self._truth_port.Eval(context)[where])
 
     def _calc_truth(self, context, output):
-        poses = self._poses_port.Eval(context)
-        velocities = self._velocities_port.Eval(context)
-        X_WB = np.array([poses[b].GetAsMatrix34() for b in self._bodies])
-        V_WT = velocities[self._tcp_body].get_coeffs()
         if len(self._radii):
             skeleton = self._skeleton_port.Eval(context)
         else:
             skeleton = np.empty(0)
-        truth = _calc_truth(
-            X_WB,
-            V_WT,
-            *self._shapes,
-            skeleton.reshape(-1, 2, 3),
-            self._radii,
-            self._frame_body,
-            self._X_BF,
-            self._pelvis,
-        )
-        layout = self._layout
-        if truth[layout.distance] <= 0.0:
-            # Rare, so that only then every body's velocity is converted.
-            ends = skeleton.reshape(-1, 2, 3)
-            speed, body, part = calc_contact_speed(
-                X_WB,
-                np.array([velocities[b].get_coeffs() for b in self._bodies]),
-                *self._shapes,
-                ends[:, 0],
-                ends[:, 1],
+        output.SetFromVector(
+            calc_truth(
+                *self._robot,
+                self._position_port.Eval(context),
+                self._velocity_port.Eval(context),
+                skeleton.reshape(-1, 2, 3),
                 self._radii,
+                self._pelvis,
             )
-            truth[layout.contact_speed] = speed
-            truth[layout.robot_body] = body
-            truth[layout.person_part] = part
-        output.SetFromVector(truth)
+        )

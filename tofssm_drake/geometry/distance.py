@@ -77,6 +77,18 @@ def _closest_on_segments(a, b, c, d):
 
 
 @njit(cache=True, error_model="numpy")
+def _calc_bounding_balls(p, q, r, ball):
+    """Writes centre and radius of the ball around each capsule."""
+    for i in range(r.shape[0]):
+        size2 = 0.0
+        for k in range(3):
+            ball[i, k] = 0.5 * (p[i, k] + q[i, k])
+            size2 += (0.5 * (q[i, k] - p[i, k])) ** 2
+        # A hair of slack, so that rounding never rules a pair out wrongly.
+        ball[i, 3] = r[i] + np.sqrt(size2) + 1e-12
+
+
+@njit(cache=True, error_model="numpy")
 def closest_capsules(a_p, a_q, a_r, b_p, b_q, b_r):
     """Returns where two sets of capsules come closest (compiled).
 
@@ -96,16 +108,42 @@ def closest_capsules(a_p, a_q, a_r, b_p, b_q, b_r):
         no direction from one to the other: the witness points are then taken
         square to both axes.
     """
+    n, m = a_r.shape[0], b_r.shape[0]
+    a_ball = np.empty((n, 4))
+    b_ball = np.empty((m, 4))
+    _calc_bounding_balls(a_p, a_q, a_r, a_ball)
+    _calc_bounding_balls(b_p, b_q, b_r, b_ball)
+    # The pair that its bounding balls put nearest is measured first: most of
+    # the others are then ruled out by theirs.
+    bound = np.empty((n, m))
+    first_i, first_j = -1, -1
+    nearest = np.inf
+    for i in range(n):
+        for j in range(m):
+            x = a_ball[i, 0] - b_ball[j, 0]
+            y = a_ball[i, 1] - b_ball[j, 1]
+            z = a_ball[i, 2] - b_ball[j, 2]
+            gap = np.sqrt(x * x + y * y + z * z)
+            bound[i, j] = gap - a_ball[i, 3] - b_ball[j, 3]
+            if np.isnan(bound[i, j]):
+                # An unknown pair must not read as a far one.
+                return np.nan, i, j, np.full(3, np.nan), np.full(3, np.nan)
+            if bound[i, j] < nearest or first_i < 0:
+                first_i, first_j, nearest = i, j, bound[i, j]
     distance = np.inf
     best_i, best_j = -1, -1
     best_s, best_t = 0.0, 0.0
-    for i in range(a_r.shape[0]):
-        for j in range(b_r.shape[0]):
+    if first_i >= 0:
+        i, j = first_i, first_j
+        s, t, gap2 = _closest_on_segments(a_p[i], a_q[i], b_p[j], b_q[j])
+        distance = np.sqrt(gap2) - a_r[i] - b_r[j]
+        best_i, best_j, best_s, best_t = i, j, s, t
+    for i in range(n):
+        for j in range(m):
+            if bound[i, j] >= distance or (i == first_i and j == first_j):
+                continue
             s, t, gap2 = _closest_on_segments(a_p[i], a_q[i], b_p[j], b_q[j])
             signed = np.sqrt(gap2) - a_r[i] - b_r[j]
-            if np.isnan(signed):
-                # An unknown pair must not read as a far one.
-                return np.nan, i, j, np.full(3, np.nan), np.full(3, np.nan)
             if signed < distance:
                 distance = signed
                 best_i, best_j, best_s, best_t = i, j, s, t

@@ -47,6 +47,29 @@ and `toe` are the ends of the foot's capsule: one foot radius above the floor
 when the foot stands flat.
 """
 
+PARENTS = {
+    "waist": "pelvis",
+    "neck": "waist",
+    "head": "neck",
+    "head_top": "head",
+    **{
+        f"{side}_{child}": parent.replace("*", side)
+        for side in _SIDES
+        for child, parent in (
+            ("shoulder", "neck"),
+            ("elbow", "*_shoulder"),
+            ("wrist", "*_elbow"),
+            ("hand", "*_wrist"),
+            ("hip", "pelvis"),
+            ("knee", "*_hip"),
+            ("ankle", "*_knee"),
+            ("toe", "*_ankle"),
+            ("heel", "*_toe"),
+        )
+    },
+}
+"""Chains of landmarks, from the pelvis outwards."""
+
 JOINTS = (
     *LANDMARKS,
     *(
@@ -63,7 +86,6 @@ LANDMARK_INDEX = {name: i for i, name in enumerate(LANDMARKS)}
 JOINT_INDEX = {name: i for i, name in enumerate(JOINTS)}
 
 HIP_HEIGHT = 0.530
-KNEE_HEIGHT = 0.285
 ANKLE_HEIGHT = 0.039
 SHOULDER_HEIGHT = 0.818
 HALF_SHOULDER_BREADTH = 0.129
@@ -107,7 +129,6 @@ class Capsule:
 
 COLOURS = {
     "skin": (0.87, 0.68, 0.56, 1.0),
-    "hair": (0.87, 0.68, 0.56, 1.0),
     "shirt": (0.95, 0.48, 0.10, 1.0),
     "trousers": (0.18, 0.23, 0.34, 1.0),
     "shoe": (0.12, 0.12, 0.13, 1.0),
@@ -137,7 +158,7 @@ def _make_capsules() -> tuple[Capsule, ...]:
         capsule("head", "head_low", "head_high", HEAD_RADIUS, "skin"),
         capsule("neck", "neck", "head", 0.033, "skin"),
         *both_sides("collar", "neck", "*_shoulder", 0.033, "shirt"),
-        *both_sides("chest", "*_lower_rib", "*_upper_rib", 0.056, "shirt"),
+        *both_sides("chest", "*_lower_rib", "*_upper_rib", 0.062, "shirt"),
         capsule("abdomen", "left_belly", "right_belly", 0.056, "shirt"),
         capsule("pelvis", "left_pelvis", "right_pelvis", 0.056, "trousers"),
         *both_sides("upper_arm", "*_shoulder", "*_elbow", 0.028, "shirt"),
@@ -170,7 +191,8 @@ def calc_radii(stature: float) -> np.ndarray:
     return stature * np.array([capsule.radius for capsule in CAPSULES])
 
 
-def _normalize(vector):
+def normalize(vector: np.ndarray) -> np.ndarray:
+    """Returns vectors of length 1 (or 0), shape (..., 3)."""
     norm = np.linalg.norm(vector, axis=-1, keepdims=True)
     return vector / np.maximum(norm, 1e-12)
 
@@ -185,8 +207,8 @@ def calc_frames(up: np.ndarray, left: np.ndarray) -> np.ndarray:
     Returns:
         Rotation matrices, columns forward, left, up, shape (T, 3, 3).
     """
-    z = _normalize(up)
-    x = _normalize(np.cross(left, z))
+    z = normalize(up)
+    x = normalize(np.cross(left, z))
     return np.stack([x, np.cross(z, x), z], axis=-1)
 
 
@@ -244,9 +266,9 @@ def complete_joints(landmarks: np.ndarray, stature: float) -> np.ndarray:
                 f"{side}_{name}",
                 point["neck"],
                 R_chest,
-                [0.004, sign * 0.040, offset],
+                [0.002, sign * 0.030, offset],
             )
-    axis = _normalize(point["head_top"] - point["head"])
+    axis = normalize(point["head_top"] - point["head"])
     for name, depth in (
         ("head_high", HEAD_RADIUS),
         ("head_low", HEAD_HEIGHT - HEAD_RADIUS),

@@ -216,6 +216,8 @@ def replace_robot_shapes(
         frame_id = plant.GetBodyFrameIdOrThrow(body.index())
         for role in roles:
             for geometry_id in inspector.GetGeometries(frame_id, role):
+                if not inspector.GetName(geometry_id).startswith("ur10::"):
+                    continue  # What the robot wears, e.g. a ring.
                 scene_graph.RemoveRole(
                     source_id=source_id, geometry_id=geometry_id, role=role
                 )

@@ -129,6 +129,7 @@ class TofRing(LeafSystem):
         name: TofRing
         input_ports:
         - geometry_query
+        - frame_poses
         - noise
         output_ports:
         - scan
@@ -138,6 +139,11 @@ class TofRing(LeafSystem):
     which is the scan's `sensor_time`. The scan appears on the port a latency
     later (half the timing budget and the readout). The latency may exceed the
     period: scans under way wait in a queue.
+
+    Where things are comes from one of two ports. `geometry_query` serves any
+    Diagram with a SceneGraph; `frame_poses`, X_WF of `caster.frame_ids`,
+    (f, 3, 4), is used instead where it is connected, and is much faster for
+    who has all poses at hand (see ScenePoses).
 
     The port `scan` holds an empty scan (sequence -1) before the first one.
 
@@ -195,6 +201,9 @@ class TofRing(LeafSystem):
         self._geometry_query = self.DeclareAbstractInputPort(
             "geometry_query", Value(QueryObject())
         )
+        self._frame_poses = self.DeclareAbstractInputPort(
+            "frame_poses", Value(np.zeros((len(caster.frame_ids), 3, 4)))
+        )
         self._noise = self.DeclareVectorInputPort(
             "noise", n * NOISE_DRAWS, RandomDistribution.kGaussian
         )
@@ -244,10 +253,13 @@ class TofRing(LeafSystem):
         return EventStatus.Succeeded()
 
     def _measure(self, context: Context, sequence: int) -> RingScan:
-        query_object = self._geometry_query.Eval(context)
-        ray_distance, _ = self._caster.cast_bundles(
-            self._bundles, self._caster.poses_from_query_object(query_object)
-        )
+        if self._frame_poses.HasValue(context):
+            X_WF = self._frame_poses.Eval(context)
+        else:
+            X_WF = self._caster.poses_from_query_object(
+                self._geometry_query.Eval(context)
+            )
+        ray_distance, _ = self._caster.cast_bundles(self._bundles, X_WF)
         noise = self._no_noise
         if noise is None:
             noise = self._noise.Eval(context).reshape(-1, NOISE_DRAWS)

@@ -1,0 +1,108 @@
+"""Every documented system block equals the ports of the real system."""
+
+import importlib
+import inspect
+import pkgutil
+import unittest
+
+from pydrake.systems.framework import Diagram, LeafSystem
+import yaml
+
+import tofssm_drake
+from tofssm_drake.diagrams.monitor import make_monitor
+from tofssm_drake.diagrams.scenario import load_scenario
+from tofssm_drake.diagrams.station import make_station
+from tofssm_drake.diagrams.workcell import make_workcell
+import tofssm_drake.robot.sim_ur10 as sim_ur10
+
+_MARKER = ".. pydrake_system::"
+
+
+def read_block(docstring):
+    """Returns the system block of a docstring as plain values."""
+    lines = inspect.cleandoc(docstring).splitlines()
+    start = lines.index(_MARKER) + 1
+    block = []
+    for line in lines[start:]:
+        if line and not line.startswith(" "):
+            break
+        block.append(line)
+    return yaml.safe_load("\n".join(block))
+
+
+def get_ports(system):
+    return {
+        "input_ports": [
+            system.get_input_port(i).get_name()
+            for i in range(system.num_input_ports())
+        ],
+        "output_ports": [
+            system.get_output_port(i).get_name()
+            for i in range(system.num_output_ports())
+        ],
+    }
+
+
+def find_systems(diagram):
+    for system in diagram.GetSystems():
+        yield system
+        if isinstance(system, Diagram):
+            yield from find_systems(system)
+
+
+def find_public_leaf_systems():
+    for module in pkgutil.walk_packages(tofssm_drake.__path__, "tofssm_drake."):
+        loaded = importlib.import_module(module.name)
+        for name, value in vars(loaded).items():
+            if (
+                inspect.isclass(value)
+                and issubclass(value, LeafSystem)
+                and value.__module__ == module.name
+                and not name.startswith("_")
+            ):
+                yield value
+
+
+class TestSystemBlocks(unittest.TestCase):
+    @classmethod
+    def setUpClass(cls):
+        cls.scenario = load_scenario()
+        cls.workcell = make_workcell(cls.scenario, meshcat=None)
+
+    def check(self, system, docstring):
+        block = read_block(docstring)
+        self.assertLessEqual(
+            set(block), {"name", "input_ports", "output_ports"}
+        )
+        ports = get_ports(system)
+        for key, names in ports.items():
+            self.assertEqual(block.get(key, []), names, block["name"])
+
+    def test_every_public_system_of_the_loop(self):
+        seen = set()
+        for system in find_systems(self.workcell.diagram):
+            if type(system).__module__.startswith("tofssm_drake."):
+                with self.subTest(system=type(system).__name__):
+                    self.check(system, type(system).__doc__)
+                seen.add(type(system))
+        missing = {s.__name__ for s in find_public_leaf_systems()} - {
+            s.__name__ for s in seen
+        }
+        self.assertEqual(missing, set())
+
+    def test_every_made_diagram(self):
+        robot, _ = sim_ur10.make_sim_ur10(
+            config=self.scenario.robot, initial_position=[0.0] * 6
+        )
+        controller = robot.GetSubsystemByName("inverse_dynamics_controller")
+        for make, diagram in (
+            (make_station, self.workcell.station.diagram),
+            (make_monitor, make_monitor(self.scenario)),
+            (sim_ur10.make_sim_ur10, robot),
+            (sim_ur10.make_inverse_dynamics_controller, controller),
+        ):
+            with self.subTest(make=make.__name__):
+                self.check(diagram, make.__doc__)
+                self.assertEqual(
+                    read_block(make.__doc__)["name"], diagram.get_name()
+                )

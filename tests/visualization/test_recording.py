@@ -1,0 +1,107 @@
+import functools
+import json
+from pathlib import Path
+import re
+import tempfile
+import unittest
+
+import numpy as np
+from pydrake.geometry import Meshcat, Rgba, Sphere
+
+from tofssm_drake.errors import UserError
+from tofssm_drake.evaluation.samples import Samples
+import tofssm_drake.visualization.recording as mut
+
+PAGE = """<html><head><title>Drake MeshCat</title></head>
+<body><script>var viewer = 1;</script></body>
+</html>"""
+
+
+@functools.cache
+def get_meshcat():
+    """One per process: each one opens a port of its own."""
+    return Meshcat()
+
+
+def _make_samples():
+    n = 1001
+    return Samples(
+        column={
+            "t": np.arange(n) * 0.008,
+            "robot_state": np.repeat([0, 2, 1], [101, 400, 500]),
+            "tcp_speed": np.linspace(0, 1, n),
+            "true_distance": np.where(np.arange(n) < 500, np.inf, -0.1),
+        }
+    )
+
+
+class TestRunData(unittest.TestCase):
+    def test_data(self):
+        data = mut.make_run_data(_make_samples())
+        self.assertAlmostEqual(data["end"], 8.0)
+        self.assertEqual(
+            data["spans"],
+            [[0.0, 0.808, 0], [0.808, 4.008, 2], [4.008, 8.0, 1]],
+        )
+        self.assertAlmostEqual(data["step"], 0.04)
+        self.assertEqual(len(data["speed"]), 201)
+        self.assertIsNone(data["distance"][0])
+        self.assertEqual(data["distance"][-1], 0.0)
+        # Strict JSON, which has no infinity.
+        json.dumps(data, allow_nan=False)
+
+    def test_nothing(self):
+        self.assertIsNone(mut.make_run_data(None))
+        self.assertIsNone(
+            mut.make_run_data(
+                Samples(column={"t": np.zeros(1), "robot_state": np.zeros(1)})
+            )
+        )
+
+
+class TestOverlay(unittest.TestCase):
+    def test_inserted_before_the_end(self):
+        page = mut.add_overlay(PAGE, samples=_make_samples(), title="A < B")
+        self.assertIn("<title>A &lt; B</title>", page)
+        self.assertNotIn("A < B", page)
+        self.assertTrue(page.endswith("</body>\n</html>"))
+        self.assertLess(page.index("var viewer"), page.index('id="tofssm"'))
+        for word in ("clear", "hit", "masked", "fault", "STOP", "NORMAL"):
+            self.assertIn(word, page)
+
+    def test_without_samples(self):
+        page = mut.add_overlay(PAGE, title="x")
+        self.assertIn("tofssm-legend", page)
+        self.assertNotIn('tofssm-strip"', page)
+        self.assertIn("const run = null;", page)
+
+
+class TestRecording(unittest.TestCase):
+    def test_write(self):
+        meshcat = get_meshcat()
+        mut.set_scene(meshcat)
+        meshcat.SetObject("ball", Sphere(0.1), Rgba(1, 0, 0, 1))
+        mut.start_recording(meshcat)
+        meshcat.SetProperty("ball", "visible", True, 0.0)
+        meshcat.SetProperty("ball", "visible", False, 1.0)
+        with tempfile.TemporaryDirectory() as folder:
+            path = Path(folder) / "recording.html"
+            mut.write_recording(
+                meshcat, path, samples=_make_samples(), title="Test"
+            )
+            page = path.read_text("utf-8")
+            self.assertEqual(
+                [p.name for p in path.parent.iterdir()], [path.name]
+            )
+        # The page needs Meshcat's viewer under this name, and no network.
+        self.assertIn("var viewer = new MeshCat.Viewer", page)
+        self.assertIn('id="tofssm-strip"', page)
+        self.assertIsNone(
+            re.search(r"<(?:script|link|img)[^>]*(?:src|href)=.https?:", page)
+        )
+
+    def test_unwritable(self):
+        meshcat = get_meshcat()
+        mut.start_recording(meshcat)
+        with self.assertRaisesRegex(UserError, "cannot be written"):
+            mut.write_recording(meshcat, Path("/nonexistent/recording.html"))

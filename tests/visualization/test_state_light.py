@@ -1,0 +1,68 @@
+import unittest
+
+from fake_meshcat import FakeMeshcat
+import numpy as np
+
+from tofssm_drake.messages import RobotState
+from tofssm_drake.visualization import palette
+import tofssm_drake.visualization.state_light as mut
+
+
+class TestMeshes(unittest.TestCase):
+    def test_words(self):
+        """Every word can be spelt, and is centred and of its height."""
+        for word in palette.STATE_WORD.values():
+            vertices, faces = mut.make_word_mesh(word, height=0.2, stroke=0.03)
+            self.assertEqual(vertices.shape[0], 3)
+            self.assertLess(faces.max(), vertices.shape[1])
+            np.testing.assert_array_equal(vertices[0], 0.0)
+            low, high = vertices.min(axis=1), vertices.max(axis=1)
+            self.assertAlmostEqual(low[2], -0.115, delta=0.01)
+            self.assertAlmostEqual(high[2], 0.115, delta=0.01)
+            self.assertAlmostEqual(low[1], -high[1], delta=0.01)
+
+    def test_annulus(self):
+        vertices, faces = mut.make_annulus_mesh(1.0, 1.5)
+        area = 0.0
+        for i, j, k in faces.T:
+            a, b, c = vertices[:, i], vertices[:, j], vertices[:, k]
+            area += np.cross(b - a, c - a)[2] / 2
+        self.assertAlmostEqual(area, np.pi * 1.25, delta=0.01)
+
+
+class TestStateLight(unittest.TestCase):
+    def setUp(self):
+        self.meshcat = FakeMeshcat()
+        self.dut = mut.StateLight(meshcat=self.meshcat)
+        self.context = self.dut.CreateDefaultContext()
+
+    def test_ports(self):
+        self.assertEqual(self.dut.num_input_ports(), 1)
+        self.assertEqual(self.dut.get_input_port(0).get_name(), "robot_state")
+
+    def test_one_state_is_shown(self):
+        for tick, state in enumerate([0, 1, 2, 0]):
+            self.context.SetTime(tick)
+            self.dut.GetInputPort("robot_state").FixValue(self.context, [state])
+            self.dut.ForcedPublish(self.context)
+            shown = [
+                s
+                for s in RobotState
+                if self.meshcat.find_last(f"state/{s.name}", "visible")
+            ]
+            self.assertEqual(shown, [state])
+
+    def test_told_without_colour(self):
+        """Lamps differ in height, words in letters, rings in width."""
+        X = {path: X for path, X, _ in self.meshcat.transforms}
+        heights = [
+            X[f"state/{s.name}/lamp"].translation()[2] for s in RobotState
+        ]
+        self.assertEqual(sorted(heights, reverse=True), heights)
+        widths = []
+        for s in RobotState:
+            (vertices, _), _ = self.meshcat.objects[f"state/{s.name}/floor"]
+            radius = np.linalg.norm(vertices, axis=0)
+            widths.append(radius.max() - radius.min())
+        self.assertGreater(widths[0], widths[1])
+        self.assertGreater(widths[1], widths[2])
