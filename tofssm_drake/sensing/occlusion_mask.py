@@ -14,14 +14,19 @@ from pydrake.math import RigidTransform
 from pydrake.systems.framework import Context, LeafSystem, State
 
 from tofssm_drake.errors import require
+from tofssm_drake.geometry.fan import make_cone_fan
 from tofssm_drake.geometry.ray_caster import RayBundles, RayCaster
 from tofssm_drake.messages import RINGS, MaskedScan, Reading, RingScan
 from tofssm_drake.sensing.readings import (
     calc_self_interval,
     classify_readings,
 )
-from tofssm_drake.sensing.tof_ring import TofRingConfig, make_ring_bundles
-from tofssm_drake.sensing.vl53l1x import STATUS_NO_NEW_DATA, check_range
+from tofssm_drake.sensing.tof_ring import TofRingConfig
+from tofssm_drake.sensing.vl53l1x import (
+    STATUS_NO_NEW_DATA,
+    calc_cast_range,
+    check_range,
+)
 
 
 @dc.dataclass(kw_only=True)
@@ -39,6 +44,18 @@ class OcclusionMaskConfig:
 
     # Rays that stand for a sensor's cone; 0: as many as the ring's.
     rays_per_sensor: int = 0
+
+    # The mask also looks this far beyond the edge of a sensor's cone, deg
+    # (*assumed*): what the cone just grazes is seen or not, near or far, by
+    # the last degree of a mounting and the last millisecond of a clock. 0:
+    # not beyond.
+    edge_margin_deg: float = 1.0
+
+    # The robot is also looked at as it was this long before and after a
+    # sample, s (*assumed*: half a control tick). Clocks, an integration that
+    # takes its time, and a simulated world that stands still for a plant step
+    # leave that open. 0: only at the sample's own time.
+    time_margin: float = 0.004
 
     # Below this distance a sensor detects but can not measure, m: such a
     # target is as near as possible.
@@ -64,6 +81,8 @@ class OcclusionMaskConfig:
         """Raises UserError unless every setting is within its limits."""
         check_range(where, "sigma", self.sigma, 0.0, 0.1)
         check_range(where, "rays_per_sensor", self.rays_per_sensor, 0, 10000)
+        check_range(where, "edge_margin_deg", self.edge_margin_deg, 0.0, 10.0)
+        check_range(where, "time_margin", self.time_margin, 0.0, 0.1)
         check_range(where, "min_range", self.min_range, 0.0, 0.2)
         check_range(where, "max_range", self.max_range, 0.1, 65.0)
         check_range(where, "max_age", self.max_age, 0.001, 10.0)
@@ -95,18 +114,36 @@ def make_mask_bundles(
         excluded: the twin's geometries that no sensor of the ring sees: the
             link that carries it.
     """
-    if config.rays_per_sensor:
-        ring_config = dc.replace(
-            ring_config, rays_per_sensor=config.rays_per_sensor
-        )
-    return make_ring_bundles(
-        config=ring_config,
-        caster=caster,
+    return caster.make_bundles(
         frame_id=frame_id,
         X_FS=X_FS,
-        excluded=excluded,
-        margin=config.tolerance,
+        fan_S=make_mask_fan(config, ring_config),
+        max_range=calc_cast_range(ring_config.sensor) + config.tolerance,
+        excluded=[excluded] * len(X_FS),
     )
+
+
+def make_mask_fan(
+    config: OcclusionMaskConfig, ring_config: TofRingConfig
+) -> np.ndarray:
+    """Returns the directions of a sensor's rays on the twin, (k, 3).
+
+    Those of the ring itself, so that a sensor in the simulated world and the
+    mask see the same, and a circle of rays beyond the cone's edge.
+    """
+    fan_S = make_cone_fan(
+        math.radians(ring_config.fov_deg),
+        config.rays_per_sensor or ring_config.rays_per_sensor,
+    )
+    if config.edge_margin_deg == 0.0:
+        return fan_S
+    angle = math.radians(0.5 * ring_config.fov_deg + config.edge_margin_deg)
+    turn = 2.0 * np.pi * np.arange(_EDGE_RAYS) / _EDGE_RAYS
+    edge_S = np.empty((_EDGE_RAYS, 3))
+    edge_S[:, 0] = math.cos(angle)
+    edge_S[:, 1] = math.sin(angle) * np.cos(turn)
+    edge_S[:, 2] = math.sin(angle) * np.sin(turn)
+    return np.vstack([fan_S, edge_S])
 
 
 class Twin(Protocol):
@@ -119,6 +156,7 @@ class Twin(Protocol):
 
 
 _VALID = int(Reading.VALID)
+_EDGE_RAYS = 16
 
 # Columns of the history's table.
 _TIME, _POSITION, _VELOCITY = 0, slice(1, 7), slice(7, 13)
@@ -266,7 +304,8 @@ def mask_scan(
 
     Casts each sensor's rays on the twin, posed as the robot was at the
     sample's own time, and compares (paper, Self Occlusion Detection; table
-    in `tofssm_drake.sensing.readings`).
+    in `tofssm_drake.sensing.readings`). What would be valid is compared again
+    with the robot as it was a little earlier and later.
 
     Args:
         config: settings.
@@ -294,9 +333,45 @@ def mask_scan(
         one_time = False
     if before.reading.shape != (n,):
         before = _make_nothing_before(n)
-    self_distance, reports = _cast_on_twin(
-        config, scan.sensor_time, one_time, table, caster, bundles, twin
-    )
+
+    def cast(time_shift):
+        return _cast_on_twin(
+            config,
+            scan.sensor_time + time_shift if time_shift else scan.sensor_time,
+            one_time,
+            table,
+            caster,
+            bundles,
+            twin,
+        )
+
+    def interpret(self_distance):
+        return _interpret(
+            scan.distance,
+            scan.status,
+            scan.sensor_time,
+            self_distance,
+            reports,
+            before.scan.sensor_time,
+            before.scan.distance,
+            before.reading,
+            before.previous_distance,
+            before.previous_time,
+            time,
+            config.tolerance,
+            config.min_range,
+            config.max_range,
+            config.max_age,
+        )
+
+    self_distance, reports = cast(0.0)
+    result = interpret(self_distance)
+    if config.enabled and config.time_margin > 0.0 and result[-1]:
+        # A wider look can only turn valid readings into masked ones, so it is
+        # left for when there are any.
+        early, _ = cast(-config.time_margin)
+        late, _ = cast(config.time_margin)
+        result = interpret(np.hstack([self_distance, early, late]))
     (
         reading,
         reckoned,
@@ -307,23 +382,8 @@ def mask_scan(
         previous_time,
         position,
         velocity,
-    ) = _interpret(
-        scan.distance,
-        scan.status,
-        scan.sensor_time,
-        self_distance,
-        reports,
-        before.scan.sensor_time,
-        before.scan.distance,
-        before.reading,
-        before.previous_distance,
-        before.previous_time,
-        time,
-        config.tolerance,
-        config.min_range,
-        config.max_range,
-        config.max_age,
-    )
+        _,
+    ) = result
     if is_other:
         scan = dc.replace(scan, distance=reckoned)
     return MaskedScan(
@@ -421,12 +481,15 @@ def _interpret(
         max_age,
     )
     is_other = False
+    some_valid = False
     position = np.empty((n, 6))
     velocity = np.empty((n, 6))
     last_report = reports.shape[0] - 1
     for i in range(n):
         if reckoned[i] != distance[i]:
             is_other = True
+        if reading[i] == _VALID:
+            some_valid = True
         report = reports[min(i, last_report)]
         for j in range(6):
             position[i, j] = report[1 + j]
@@ -449,6 +512,7 @@ def _interpret(
         previous_time,
         position,
         velocity,
+        some_valid,
     )
 
 
