@@ -9,7 +9,8 @@ them. Meshes come as one pool of nodes and triangles (see `TriangleMesh`).
 from numba import njit
 import numpy as np
 
-_STACK = 128
+STACK = 128
+"""Entries of a traversal's stack; trees are less deep."""
 
 
 @njit(cache=True, error_model="numpy", forceinline=True)
@@ -74,7 +75,7 @@ def _cross_triangle(triangles, i, p, kx, ky, kz, sx, sy, sz):
 
 
 @njit(cache=True, error_model="numpy")
-def cast_mesh(nodes, triangles, root, p, dx, dy, dz, limit):
+def cast_mesh(nodes, triangles, root, p, dx, dy, dz, limit, stack):
     """Returns (distance, triangle) of the first hit before limit.
 
     Args:
@@ -86,6 +87,7 @@ def cast_mesh(nodes, triangles, root, p, dx, dy, dz, limit):
         dy: The same, y.
         dz: The same, z.
         limit: Hits from here on do not count.
+        stack: Scratch space, shape (2, STACK).
 
     Returns:
         inf and -1 if there is none.
@@ -93,16 +95,14 @@ def cast_mesh(nodes, triangles, root, p, dx, dy, dz, limit):
     ix, iy, iz = _invert(dx), _invert(dy), _invert(dz)
     kx, ky, kz, sx, sy, sz = _shear(dx, dy, dz)
     best, found = limit, -1
-    stack = np.empty(_STACK, dtype=np.int64)
-    enters = np.empty(_STACK)
-    stack[0] = root
-    enters[0] = _enter_box(nodes, root, p[0], p[1], p[2], ix, iy, iz, best)
+    stack[0, 0] = root
+    stack[1, 0] = _enter_box(nodes, root, p[0], p[1], p[2], ix, iy, iz, best)
     top = 1
     while top > 0:
         top -= 1
-        if not enters[top] < best:
+        if not stack[1, top] < best:
             continue
-        node = stack[top]
+        node = int(stack[0, top])
         first, count = int(nodes[node, 6]), int(nodes[node, 7])
         if count > 0:
             for i in range(first, first + count):
@@ -119,10 +119,10 @@ def cast_mesh(nodes, triangles, root, p, dx, dy, dz, limit):
             near, far = far, near
             a, b = b, a
         if b < best:
-            stack[top], enters[top] = far, b
+            stack[0, top], stack[1, top] = far, b
             top += 1
         if a < best:
-            stack[top], enters[top] = near, a
+            stack[0, top], stack[1, top] = near, a
             top += 1
     if found < 0:
         return np.inf, -1
@@ -138,7 +138,7 @@ def _count_turns(nodes, triangles, root, p, dx, dy, dz):
     ix, iy, iz = _invert(dx), _invert(dy), _invert(dz)
     kx, ky, kz, sx, sy, sz = _shear(dx, dy, dz)
     turns = 0
-    stack = np.empty(_STACK, dtype=np.int64)
+    stack = np.empty(STACK, dtype=np.int64)
     stack[0] = root
     top = 1
     while top > 0:

@@ -19,6 +19,7 @@ from numba import njit
 import numpy as np
 
 from tofssm_drake.geometry.mesh_kernels import (
+    STACK,
     cast_convex,
     cast_mesh,
     is_inside_convex,
@@ -344,6 +345,7 @@ def cast_bundles(X_WF, scene, bundles, active, fan, cones):
     near_state = np.empty(n, dtype=np.int64)
     p_GS = np.empty((n, 3))
     R_GS = np.empty((n, 3, 3))
+    stack = np.empty((2, STACK))
     for i in range(m):
         _compose(X_WF[int(bundles[i, BUNDLE_FRAME])], bundles[i], X_WS)
         reach = bundles[i, BUNDLE_RANGE]
@@ -475,6 +477,7 @@ def cast_bundles(X_WF, scene, bundles, active, fan, cones):
                             dy,
                             dz,
                             best[j],
+                            stack,
                         )
                     else:
                         t = _cast_primitive(
@@ -533,6 +536,7 @@ def cast_rays(X_WF, scene, active, p_WR, n_WR, reach):
         limit2[s] = (reach + radius) * (reach + radius)
     p_GR = np.empty(3)
     may_hit = np.empty(n, dtype=np.bool_)
+    stack = np.empty((2, STACK))
     limit = np.nextafter(reach, np.inf)
     for i in range(rays):
         ox, oy, oz = p_WR[i, 0], p_WR[i, 1], p_WR[i, 2]
@@ -594,7 +598,15 @@ def cast_rays(X_WF, scene, active, p_WR, n_WR, reach):
                     )
                     if not inside:
                         t, _ = cast_mesh(
-                            nodes, triangles, part, p_GR, dx, dy, dz, best
+                            nodes,
+                            triangles,
+                            part,
+                            p_GR,
+                            dx,
+                            dy,
+                            dz,
+                            best,
+                            stack,
                         )
             if inside:
                 best = 0.0
@@ -676,6 +688,7 @@ def calc_normals(X_WF, scene, p_WR, n_WR, distance, index):
     normals = np.full((rays, 3), np.nan)
     X = np.empty((3, 4))
     p, q, n = np.empty(3), np.empty(3), np.empty(3)
+    stack = np.empty((2, STACK))
     for i in range(rays):
         s = index[i]
         t = distance[i]
@@ -694,7 +707,9 @@ def calc_normals(X_WF, scene, p_WR, n_WR, distance, index):
                 continue
             n[:] = planes[part, :3]
         elif kind == MESH:
-            _, part = cast_mesh(nodes, triangles, first, p, dx, dy, dz, np.inf)
+            _, part = cast_mesh(
+                nodes, triangles, first, p, dx, dy, dz, np.inf, stack
+            )
             if part < 0:
                 continue
             u = triangles[part, 3:6] - triangles[part, :3]
