@@ -1,6 +1,7 @@
 """What a scan of 600 rays costs: 24 sensors of 25 rays, 32 shapes."""
 
 import numpy as np
+from pydrake.common import MemoryFile
 from pydrake.common.value import Value
 from pydrake.geometry import (
     Box,
@@ -10,16 +11,23 @@ from pydrake.geometry import (
     GeometryFrame,
     GeometryInstance,
     HalfSpace,
+    InMemoryMesh,
+    Mesh,
     PerceptionProperties,
     Sphere,
 )
 from pydrake.math import RigidTransform, RollPitchYaw, RotationMatrix
 from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
-from pydrake.multibody.tree import RevoluteJoint, SpatialInertia
+from pydrake.multibody.tree import (
+    FixedOffsetFrame,
+    RevoluteJoint,
+    SpatialInertia,
+)
 from pydrake.systems.framework import DiagramBuilder
 import pytest
 
 from tofssm_drake.geometry.fan import make_cone_fan
+from tofssm_drake.geometry.frame_poses import FramePoses
 from tofssm_drake.geometry.ray_caster import RayCaster
 
 SENSORS_PER_RING = 8
@@ -31,9 +39,13 @@ class Cell:
     """A six-joint arm (12 shapes), a person of 16 capsules, 4 static shapes.
 
     The arm is a plant, the person a source of 17 poses: 24 moving frames.
+
+    Args:
+        as_mesh: Turns all round shapes into meshes of 448 triangles each.
     """
 
-    def __init__(self):
+    def __init__(self, as_mesh=False):
+        self.as_mesh = as_mesh
         builder = DiagramBuilder()
         plant, scene_graph = AddMultibodyPlantSceneGraph(builder, 0.004)
         self.plant, self.scene_graph = plant, scene_graph
@@ -94,6 +106,8 @@ class Cell:
         return bodies
 
     def _see(self, body, shape, X_BG, name):
+        if self.as_mesh:
+            shape = _tessellate(shape)
         self.plant.RegisterVisualGeometry(body, X_BG, shape, name, [1] * 4)
 
     def _add_cell(self):
@@ -118,6 +132,8 @@ class Cell:
             if i == 16:
                 continue  # A frame that moves but shows nothing.
             shape = Sphere(0.12) if i == 15 else Capsule(0.07, 0.35)
+            if self.as_mesh:
+                shape = _tessellate(shape)
             instance = GeometryInstance(RigidTransform(), shape, f"limb_{i}")
             instance.set_perception_properties(PerceptionProperties())
             scene_graph.RegisterGeometry(self.person_source, frame, instance)
@@ -175,14 +191,49 @@ class Cell:
 
 
 def _offset(plant, body, p, i):
-    from pydrake.multibody.tree import FixedOffsetFrame
-
     return FixedOffsetFrame(f"tip_{i}", body.body_frame(), RigidTransform(p))
 
 
-@pytest.fixture(scope="module")
-def cell():
-    return Cell()
+def _tessellate(shape, around=16, along=14):
+    """Returns a mesh of a round shape, others as they are."""
+    if not isinstance(shape, Sphere | Capsule | Cylinder):
+        return shape
+    half = 0.0 if isinstance(shape, Sphere) else 0.5 * shape.length()
+    polar = np.pi * (np.arange(along) + 0.5) / along
+    turn = 2.0 * np.pi * np.arange(around) / around
+    rings = [
+        shape.radius()
+        * np.column_stack(
+            [
+                np.sin(a) * np.cos(turn),
+                np.sin(a) * np.sin(turn),
+                np.full(around, np.cos(a)),
+            ]
+        )
+        + [0.0, 0.0, np.copysign(half, np.cos(a))]
+        for a in polar
+    ]
+    top, bottom = rings[0].mean(axis=0), rings[-1].mean(axis=0)
+    vertices = np.vstack([*rings, top, bottom])
+    faces = []
+    for j in range(around):
+        k = (j + 1) % around
+        faces.append([len(vertices) - 2, j, k])
+        last = (along - 1) * around
+        faces.append([len(vertices) - 1, last + k, last + j])
+        for i in range(along - 1):
+            a, b = i * around, (i + 1) * around
+            faces += [[a + j, b + j, b + k], [a + j, b + k, a + k]]
+    text = "\n".join(
+        ["v {} {} {}".format(*v) for v in vertices]
+        + ["f {} {} {}".format(*(i + 1 for i in f)) for f in faces]
+    )
+    return Mesh(InMemoryMesh(mesh_file=MemoryFile(text, ".obj", "round")))
+
+
+@pytest.fixture(scope="module", params=["shapes", "meshes"])
+def cell(request):
+    return Cell(as_mesh=request.param == "meshes")
 
 
 def test_scan_of_three_rings_through_the_query_object(benchmark, cell):
@@ -201,14 +252,22 @@ def test_scan_of_three_rings_through_the_query_object(benchmark, cell):
     benchmark.pedantic(scan, setup=cell.move, rounds=5000, warmup_rounds=100)
 
 
-def test_poses_through_the_query_object(benchmark, cell):
+def test_scan_of_three_rings_from_known_poses(benchmark, cell):
+    """The same with poses from the plant and from the person's array."""
     caster = RayCaster(cell.scene_graph.model_inspector())
-    benchmark.pedantic(
-        lambda: caster.poses_from_query_object(cell.query_object()),
-        setup=cell.move,
-        rounds=5000,
-        warmup_rounds=100,
+    groups = cell.make_bundles(caster)
+    poses = FramePoses(
+        caster=caster, plant=cell.plant, frame_ids=cell.person_frames
     )
+    body_poses = cell.plant.get_body_poses_output_port()
+
+    def scan():
+        X_WF = poses.calc(
+            X_WB=body_poses.Eval(cell.plant_context), X_WF=cell.X_WP[cell.tick]
+        )
+        return [caster.cast_bundles(bundles, X_WF) for bundles in groups]
+
+    benchmark.pedantic(scan, setup=cell.move, rounds=5000, warmup_rounds=100)
 
 
 def test_rays_of_three_rings_alone(benchmark, cell):

@@ -544,8 +544,8 @@ class TestMakeTriangleMesh(unittest.TestCase):
         while stack:
             node, depth = stack.pop()
             deepest = max(deepest, depth)
-            low, high = dut.node_bounds[node].reshape(2, 3)
-            first, count = dut.node_links[node]
+            low, high = dut.nodes[node, :6].reshape(2, 3)
+            first, count = dut.nodes[node, 6:].astype(int)
             if count:
                 seen[first : first + count] += 1
                 inside = corners[first : first + count]
@@ -553,7 +553,7 @@ class TestMakeTriangleMesh(unittest.TestCase):
                 self.assertTrue((inside <= high).all())
                 continue
             for child in (first, first + 1):
-                child_low, child_high = dut.node_bounds[child].reshape(2, 3)
+                child_low, child_high = dut.nodes[child, :6].reshape(2, 3)
                 self.assertTrue((child_low >= low).all())
                 self.assertTrue((child_high <= high).all())
                 stack.append((child, depth + 1))

@@ -9,10 +9,11 @@ them. Meshes come as one pool of nodes and triangles (see `TriangleMesh`).
 from numba import njit
 import numpy as np
 
-_STACK = 128
+STACK = 128
+"""Entries of a traversal's stack; trees are less deep."""
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", forceinline=True)
 def _invert(d):
     """Returns 1 / d, but finite: 0 * inf would be NaN in the slab test."""
     if abs(d) > 1e-290:
@@ -20,14 +21,14 @@ def _invert(d):
     return np.copysign(1e290, d)
 
 
-@njit(cache=True, error_model="numpy")
-def _enter_box(bounds, node, px, py, pz, ix, iy, iz, limit):
+@njit(cache=True, error_model="numpy", forceinline=True)
+def _enter_box(nodes, node, px, py, pz, ix, iy, iz, limit):
     """Returns where a ray enters a node's box, inf if not before limit."""
-    a, b = (bounds[node, 0] - px) * ix, (bounds[node, 3] - px) * ix
+    a, b = (nodes[node, 0] - px) * ix, (nodes[node, 3] - px) * ix
     enter, leave = min(a, b), max(a, b)
-    a, b = (bounds[node, 1] - py) * iy, (bounds[node, 4] - py) * iy
+    a, b = (nodes[node, 1] - py) * iy, (nodes[node, 4] - py) * iy
     enter, leave = max(enter, min(a, b)), min(leave, max(a, b))
-    a, b = (bounds[node, 2] - pz) * iz, (bounds[node, 5] - pz) * iz
+    a, b = (nodes[node, 2] - pz) * iz, (nodes[node, 5] - pz) * iz
     enter, leave = max(enter, min(a, b)), min(leave, max(a, b))
     enter = max(enter, 0.0)
     if enter <= leave and enter <= limit:
@@ -35,7 +36,7 @@ def _enter_box(bounds, node, px, py, pz, ix, iy, iz, limit):
     return np.inf
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", forceinline=True)
 def _shear(dx, dy, dz):
     """Returns the axes (x, y, z) and shear that turn the ray into +z."""
     ax, ay, az = abs(dx), abs(dy), abs(dz)
@@ -46,22 +47,22 @@ def _shear(dx, dy, dz):
     return 2, 0, 1, dz / dy, dx / dy, 1.0 / dy
 
 
-@njit(cache=True, error_model="numpy")
-def _cross_triangle(tri, p, kx, ky, kz, sx, sy, sz):
-    """Returns (distance, side) where a line crosses a triangle.
+@njit(cache=True, error_model="numpy", forceinline=True)
+def _cross_triangle(triangles, i, p, kx, ky, kz, sx, sy, sz):
+    """Returns (distance, side) where a line crosses triangle i.
 
     The side is 0 for a miss, else the sign of the projected area, which
     tells front from back. The distance may be negative.
     """
-    az = tri[kz] - p[kz]
-    bz = tri[3 + kz] - p[kz]
-    cz = tri[6 + kz] - p[kz]
-    ax = tri[kx] - p[kx] - sx * az
-    ay = tri[ky] - p[ky] - sy * az
-    bx = tri[3 + kx] - p[kx] - sx * bz
-    by = tri[3 + ky] - p[ky] - sy * bz
-    cx = tri[6 + kx] - p[kx] - sx * cz
-    cy = tri[6 + ky] - p[ky] - sy * cz
+    az = triangles[i, kz] - p[kz]
+    bz = triangles[i, 3 + kz] - p[kz]
+    cz = triangles[i, 6 + kz] - p[kz]
+    ax = triangles[i, kx] - p[kx] - sx * az
+    ay = triangles[i, ky] - p[ky] - sy * az
+    bx = triangles[i, 3 + kx] - p[kx] - sx * bz
+    by = triangles[i, 3 + ky] - p[ky] - sy * bz
+    cx = triangles[i, 6 + kx] - p[kx] - sx * cz
+    cy = triangles[i, 6 + ky] - p[ky] - sy * cz
     u = cx * by - cy * bx
     v = ax * cy - ay * cx
     w = bx * ay - by * ax
@@ -74,12 +75,11 @@ def _cross_triangle(tri, p, kx, ky, kz, sx, sy, sz):
 
 
 @njit(cache=True, error_model="numpy")
-def cast_mesh(bounds, links, triangles, root, p, dx, dy, dz, limit):
+def cast_mesh(nodes, triangles, root, p, dx, dy, dz, limit, stack):
     """Returns (distance, triangle) of the first hit before limit.
 
     Args:
-        bounds: Boxes of the nodes, shape (nodes, 6).
-        links: (first, count) of the nodes, shape (nodes, 2).
+        nodes: See TriangleMesh, shape (., 8).
         triangles: Corners, shape (n, 9).
         root: The mesh's root node.
         p: Origin of the ray in G, shape (3,).
@@ -87,6 +87,7 @@ def cast_mesh(bounds, links, triangles, root, p, dx, dy, dz, limit):
         dy: The same, y.
         dz: The same, z.
         limit: Hits from here on do not count.
+        stack: Scratch space, shape (2, STACK).
 
     Returns:
         inf and -1 if there is none.
@@ -94,36 +95,34 @@ def cast_mesh(bounds, links, triangles, root, p, dx, dy, dz, limit):
     ix, iy, iz = _invert(dx), _invert(dy), _invert(dz)
     kx, ky, kz, sx, sy, sz = _shear(dx, dy, dz)
     best, found = limit, -1
-    nodes = np.empty(_STACK, dtype=np.int64)
-    enters = np.empty(_STACK)
-    nodes[0] = root
-    enters[0] = _enter_box(bounds, root, p[0], p[1], p[2], ix, iy, iz, best)
+    stack[0, 0] = root
+    stack[1, 0] = _enter_box(nodes, root, p[0], p[1], p[2], ix, iy, iz, best)
     top = 1
     while top > 0:
         top -= 1
-        if not enters[top] < best:
+        if not stack[1, top] < best:
             continue
-        node = nodes[top]
-        first, count = links[node, 0], links[node, 1]
+        node = int(stack[0, top])
+        first, count = int(nodes[node, 6]), int(nodes[node, 7])
         if count > 0:
             for i in range(first, first + count):
                 t, side = _cross_triangle(
-                    triangles[i], p, kx, ky, kz, sx, sy, sz
+                    triangles, i, p, kx, ky, kz, sx, sy, sz
                 )
                 if side != 0 and 0.0 <= t < best:
                     best, found = t, i
             continue
         near, far = first, first + 1
-        a = _enter_box(bounds, near, p[0], p[1], p[2], ix, iy, iz, best)
-        b = _enter_box(bounds, far, p[0], p[1], p[2], ix, iy, iz, best)
+        a = _enter_box(nodes, near, p[0], p[1], p[2], ix, iy, iz, best)
+        b = _enter_box(nodes, far, p[0], p[1], p[2], ix, iy, iz, best)
         if b < a:
             near, far = far, near
             a, b = b, a
         if b < best:
-            nodes[top], enters[top] = far, b
+            stack[0, top], stack[1, top] = far, b
             top += 1
         if a < best:
-            nodes[top], enters[top] = near, a
+            stack[0, top], stack[1, top] = near, a
             top += 1
     if found < 0:
         return np.inf, -1
@@ -131,7 +130,7 @@ def cast_mesh(bounds, links, triangles, root, p, dx, dy, dz, limit):
 
 
 @njit(cache=True, error_model="numpy")
-def _count_turns(bounds, links, triangles, root, p, dx, dy, dz):
+def _count_turns(nodes, triangles, root, p, dx, dy, dz):
     """Returns how many times a closed mesh encloses a point.
 
     Counts the surface's crossings along a ray, out less in.
@@ -139,52 +138,46 @@ def _count_turns(bounds, links, triangles, root, p, dx, dy, dz):
     ix, iy, iz = _invert(dx), _invert(dy), _invert(dz)
     kx, ky, kz, sx, sy, sz = _shear(dx, dy, dz)
     turns = 0
-    nodes = np.empty(_STACK, dtype=np.int64)
-    nodes[0] = root
+    stack = np.empty(STACK, dtype=np.int64)
+    stack[0] = root
     top = 1
     while top > 0:
         top -= 1
-        node = nodes[top]
+        node = stack[top]
         if (
-            _enter_box(bounds, node, p[0], p[1], p[2], ix, iy, iz, np.inf)
+            _enter_box(nodes, node, p[0], p[1], p[2], ix, iy, iz, np.inf)
             == np.inf
         ):
             continue
-        first, count = links[node, 0], links[node, 1]
+        first, count = int(nodes[node, 6]), int(nodes[node, 7])
         if count > 0:
             for i in range(first, first + count):
                 t, side = _cross_triangle(
-                    triangles[i], p, kx, ky, kz, sx, sy, sz
+                    triangles, i, p, kx, ky, kz, sx, sy, sz
                 )
                 if side != 0 and t >= 0.0:
                     turns += side
             continue
-        nodes[top], nodes[top + 1] = first, first + 1
+        stack[top], stack[top + 1] = first, first + 1
         top += 2
     return turns
 
 
 @njit(cache=True, error_model="numpy")
-def is_inside_mesh(bounds, links, triangles, root, p):
+def is_inside_mesh(nodes, triangles, root, p):
     """Returns whether a point is inside a closed mesh.
 
     A ray through an edge counts it twice, so odd directions are taken, and
     what two of three say.
     """
     for j in range(3):
-        if p[j] < bounds[root, j] or p[j] > bounds[root, 3 + j]:
+        if p[j] < nodes[root, j] or p[j] > nodes[root, 3 + j]:
             return False
-    first = _count_turns(
-        bounds, links, triangles, root, p, 0.4836, 0.3271, 0.8118
-    )
-    second = _count_turns(
-        bounds, links, triangles, root, p, -0.6123, 0.7481, 0.2559
-    )
+    first = _count_turns(nodes, triangles, root, p, 0.4836, 0.3271, 0.8118)
+    second = _count_turns(nodes, triangles, root, p, -0.6123, 0.7481, 0.2559)
     if (first != 0) == (second != 0):
         return first != 0
-    third = _count_turns(
-        bounds, links, triangles, root, p, 0.2087, -0.5312, -0.8211
-    )
+    third = _count_turns(nodes, triangles, root, p, 0.2087, -0.5312, -0.8211)
     return third != 0
 
 

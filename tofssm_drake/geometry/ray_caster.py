@@ -58,7 +58,6 @@ class RayBundles:
     """Whether a bundle is cast against a geometry, shape (m, geometries)."""
     _packed: np.ndarray = dc.field(repr=False)
     _fan: np.ndarray = dc.field(repr=False)
-    _order: np.ndarray = dc.field(repr=False)
     _cones: np.ndarray = dc.field(repr=False)
 
 
@@ -125,8 +124,7 @@ class RayCaster:
         self._world_row = -1
 
         n = len(self._geometry_ids)
-        self._shape_int = np.zeros((n, ray_kernels.SHAPE_INTS), dtype=np.int64)
-        self._shape_float = np.zeros((n, ray_kernels.SHAPE_FLOATS))
+        shapes = np.zeros((n, ray_kernels.SHAPE_COLUMNS))
         self._descriptions = []
         pool = _Pool()
         for i, geometry_id in enumerate(self._geometry_ids):
@@ -136,11 +134,16 @@ class RayCaster:
             X_FG = inspector.GetPoseInFrame(geometry_id)
             frame = self._find_frame(inspector.GetFrameId(geometry_id))
             self._descriptions.append(description)
-            self._shape_int[i] = (kind, frame, *data)
-            self._shape_float[i] = np.concatenate(
-                [X_FG.GetAsMatrix34().ravel(), size, X_FG @ p_GC, [radius]]
+            # In the order of the columns that ray_kernels names.
+            shapes[i] = np.concatenate(
+                [
+                    X_FG.GetAsMatrix34().ravel(),
+                    size,
+                    X_FG @ p_GC,
+                    [radius, kind, frame, *data],
+                ]
             )
-        self._scene = (self._shape_int, self._shape_float, *pool.merge())
+        self._scene = (shapes, *pool.merge())
         self._remember_version(inspector)
 
     @property
@@ -309,9 +312,10 @@ class RayCaster:
             frame_index=frame_index,
             max_range=max_range,
             active=active,
-            _packed=np.hstack([X_FS.reshape(m, 12), max_range[:, None]]),
-            _fan=fan_S[order],
-            _order=order,
+            _packed=np.column_stack(
+                [X_FS.reshape(m, 12), max_range, frame_index]
+            ),
+            _fan=np.column_stack([fan_S[order], order]),
             _cones=cones,
         )
         for field in dc.fields(bundles):
@@ -347,11 +351,9 @@ class RayCaster:
         status, distance, index = ray_kernels.cast_bundles(
             X_WF,
             self._scene,
-            bundles.frame_index,
             bundles._packed,
             bundles.active,
             bundles._fan,
-            bundles._order,
             bundles._cones,
         )
         if status != ray_kernels.OK:
@@ -535,12 +537,13 @@ def _group_directions(fan_S: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Sorts directions into narrow groups.
 
     Returns:
-        (order, cones): direction of each place, shape (k,), and for each
-        group a cone around it: axis, cosine and sine of half the opening
-        angle, first place, place behind the last, shape (groups, 7).
+        (order, cones): which direction comes where, shape (k,), and a cone
+        around all, then one around each group: axis, cosine and sine of half
+        the opening angle, where the group begins, and where the next one
+        does; shape (1 + groups, 7).
     """
     order = np.arange(len(fan_S))
-    cones = []
+    cones = [[*_calc_cone(fan_S), 0, len(fan_S)]]
     pending = [(0, len(fan_S))]
     while pending:
         first, last = pending.pop()
@@ -590,22 +593,16 @@ class _Pool:
 
     def __init__(self):
         self._planes = [np.empty((0, 4))]
-        self._bounds = [np.empty((0, 6))]
-        self._links = [np.empty((0, 2), dtype=np.int64)]
+        self._nodes = [np.empty((0, 8))]
         self._triangles = [np.empty((0, 9))]
         self._num_planes = self._num_nodes = self._num_triangles = 0
         self._known = {}
 
     def merge(self) -> tuple[np.ndarray, ...]:
-        """Returns (planes, bounds, links, triangles)."""
+        """Returns (planes, nodes, triangles)."""
         return tuple(
             np.concatenate(parts)
-            for parts in (
-                self._planes,
-                self._bounds,
-                self._links,
-                self._triangles,
-            )
+            for parts in (self._planes, self._nodes, self._triangles)
         )
 
     def add(self, shape, name: str):
@@ -662,14 +659,13 @@ class _Pool:
     def _add_mesh(self, shape: Mesh, name: str):
         mesh = read_mesh(shape, name)
         root = self._num_nodes
-        links = mesh.node_links.copy()
-        is_leaf = links[:, 1] > 0
-        links[is_leaf, 0] += self._num_triangles
-        links[~is_leaf, 0] += root
-        self._bounds.append(mesh.node_bounds)
-        self._links.append(links)
+        nodes = mesh.nodes.copy()
+        is_leaf = nodes[:, 7] > 0
+        nodes[is_leaf, 6] += self._num_triangles
+        nodes[~is_leaf, 6] += root
+        self._nodes.append(nodes)
         self._triangles.append(mesh.triangles)
-        self._num_nodes += len(links)
+        self._num_nodes += len(nodes)
         self._num_triangles += len(mesh.triangles)
         data = root, int(mesh.is_closed)
         corners = mesh.triangles.reshape(-1, 3)

@@ -50,18 +50,16 @@ _TRIANGLES, _TRIANGLE_STRIP, _TRIANGLE_FAN = 4, 5, 6
 class TriangleMesh:
     """Triangles, sorted into a tree of axis-aligned boxes.
 
-    A node is either a leaf with `count` triangles from `first` on, or has
-    count 0 and the nodes `first` and `first + 1` as children. Node 0 is the
-    root.
+    A row of `nodes` is a box and two whole numbers (first, count). With a
+    count it is a leaf and has so many triangles from the first on, else it
+    has the nodes first and first + 1 as children. Node 0 is the root.
     """
 
     triangles: np.ndarray
     """The three corners of each triangle in G, shape (n, 9), m."""
-    node_bounds: np.ndarray
-    """Lower and upper corner of each node's box, shape (nodes, 6), m; a
-    trace larger than the triangles."""
-    node_links: np.ndarray
-    """(first, count) of each node, shape (nodes, 2)."""
+    nodes: np.ndarray
+    """Lower and upper corner of the box, m, first, count: shape (., 8). The
+    boxes are a trace larger than what they hold."""
     is_closed: bool
     """Whether it bounds a volume, so that a point can be inside."""
 
@@ -88,11 +86,10 @@ def make_triangle_mesh(vertices: np.ndarray, faces: np.ndarray):
     )
     # A ray along a box's face must not be lost to rounding.
     margin = 1e-12 * np.abs(bounds[0]).max()
-    bounds += margin * np.array([-1, -1, -1, 1, 1, 1])
+    bounds += margin * np.array([-1.0, -1.0, -1.0, 1.0, 1.0, 1.0])
     return TriangleMesh(
         triangles=np.ascontiguousarray(corners[order].reshape(-1, 9)),
-        node_bounds=bounds,
-        node_links=links,
+        nodes=np.hstack([bounds, links]),
         is_closed=is_closed(vertices, faces),
     )
 
