@@ -11,7 +11,12 @@ import numpy as np
 from pydrake.common.value import Value
 from pydrake.geometry import FrameId, GeometryId
 from pydrake.math import RigidTransform
-from pydrake.systems.framework import Context, LeafSystem, State
+from pydrake.systems.framework import (
+    Context,
+    EventStatus,
+    LeafSystem,
+    State,
+)
 
 from tofssm_drake.errors import require
 from tofssm_drake.geometry.fan import make_cone_fan
@@ -516,19 +521,6 @@ def _interpret(
     )
 
 
-@dc.dataclass(frozen=True, eq=False)
-class _MaskState:
-    """All that the system remembers, in one piece: cheap to copy."""
-
-    table: np.ndarray
-    """The robot's reports, see `make_robot_history`."""
-    masked_scans: tuple[MaskedScan, ...]
-    """The last of each ring."""
-
-    def __deepcopy__(self, memo):
-        return self
-
-
 class OcclusionMask(LeafSystem):
     """Tells the robot and its cell from everything else in the rings' scans.
 
@@ -598,60 +590,76 @@ class OcclusionMask(LeafSystem):
         )
         # A sample that is not stale lies within the history.
         length = math.ceil(config.max_age / config.period) + 2
-        self._state = self.DeclareAbstractState(
-            Value(
-                _MaskState(
-                    table=make_robot_history(length),
-                    masked_scans=(MaskedScan(),) * len(name),
-                )
-            )
+        self._shape = make_robot_history(length).shape
+        # Reports are numbers and new every tick, masked scans are not: in
+        # states of their own, so that one does not make the other seem new.
+        self._history = self.DeclareDiscreteState(
+            make_robot_history(length).ravel()
+        )
+        self._masked_scans = self.DeclareAbstractState(
+            Value((MaskedScan(),) * len(name))
         )
         for index, ring in enumerate(name):
             self.DeclareAbstractOutputPort(
                 f"masked_scan_{ring}",
                 Value(MaskedScan()).Clone,
                 functools.partial(self._calc_masked_scan, index=index),
-                prerequisites_of_calc={self.abstract_state_ticket(self._state)},
+                prerequisites_of_calc={
+                    self.abstract_state_ticket(self._masked_scans)
+                },
             )
         self.DeclarePeriodicUnrestrictedUpdateEvent(
-            config.period, 0.0, self._update
+            config.period, 0.0, self._mask_new_scans
+        )
+        self.DeclarePeriodicDiscreteUpdateEvent(
+            config.period, 0.0, self._remember_report
         )
 
     def _calc_masked_scan(self, context: Context, output, index: int):
-        state = context.get_abstract_state(self._state).get_value()
-        output.set_value(state.masked_scans[index])
+        masked_scans = context.get_abstract_state(self._masked_scans)
+        output.set_value(masked_scans.get_value()[index])
 
-    def _update(self, context: Context, state: State):
-        time = context.get_time()
-        value = state.get_mutable_abstract_state(self._state)
-        before = value.get_value()
-        table = push_report(
-            before.table,
-            time,
+    def _add_report(self, context: Context) -> np.ndarray:
+        """Returns the history with what the robot reports now."""
+        history = context.get_discrete_state(self._history).value()
+        return push_report(
+            history.reshape(self._shape),
+            context.get_time(),
             self._position.Eval(context),
             self._velocity.Eval(context),
             self._gripper_closed.Eval(context)[0],
             self._products_placed.Eval(context)[0],
         )
-        masked_scans = before.masked_scans
-        for i, port in enumerate(self._scans):
-            scan = port.Eval(context)
-            masked_scan = masked_scans[i]
-            if scan.sequence == masked_scan.scan.sequence:
-                continue
-            masked_scan = mask_scan(
+
+    def _remember_report(self, context: Context, discrete_state):
+        discrete_state.set_value(
+            self._history, self._add_report(context).ravel()
+        )
+
+    def _mask_new_scans(self, context: Context, state: State):
+        value = state.get_mutable_abstract_state(self._masked_scans)
+        masked_scans = list(value.get_value())
+        scans = [port.Eval(context) for port in self._scans]
+        new = [
+            i
+            for i, (scan, before) in enumerate(
+                zip(scans, masked_scans, strict=True)
+            )
+            if scan.sequence != before.scan.sequence
+        ]
+        if not new:
+            return EventStatus.DidNothing()
+        table = self._add_report(context)
+        for i in new:
+            masked_scans[i] = mask_scan(
                 self._config,
-                scan=scan,
-                before=masked_scan,
-                time=time,
+                scan=scans[i],
+                before=masked_scans[i],
+                time=context.get_time(),
                 table=table,
                 caster=self._caster,
                 bundles=self._bundles[i],
                 twin=self._twin,
             )
-            masked_scans = (
-                *masked_scans[:i],
-                masked_scan,
-                *masked_scans[i + 1 :],
-            )
-        value.set_value(_MaskState(table, masked_scans))
+        value.set_value(tuple(masked_scans))
+        return EventStatus.Succeeded()
