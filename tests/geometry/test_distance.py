@@ -147,10 +147,18 @@ class TestClosestCapsules(unittest.TestCase):
         self.assertTrue(np.isnan(p_A).all() and np.isnan(p_B).all())
 
     def test_nan_is_not_far(self):
-        one, bad = [[0.0, 0, 0]], [[9.0, 0, 0], [np.nan, 0, 0]]
-        self.assertTrue(
-            np.isnan(closest(one, one, [0.1], bad, bad, [0.1, 0.1])[0])
-        )
+        good = ([[0.0, 0, 0]], [[0.0, 0, 1]], [0.1]) * 2
+        for i in range(6):
+            for k in range(3):
+                bad = [np.array(x) for x in good]
+                bad[i].flat[min(k, bad[i].size - 1)] = np.nan
+                # Last of several.
+                bad = [
+                    np.concatenate([x, y])
+                    for x, y in zip(good, bad, strict=True)
+                ]
+                with self.subTest(i=i, k=k):
+                    self.assertTrue(np.isnan(closest(*bad)[0]))
 
 
 class TestPointToCapsules(unittest.TestCase):
@@ -189,3 +197,10 @@ class TestPointToCapsules(unittest.TestCase):
         one = np.array([[0.0, 0, 1]])
         dut = mut.point_to_capsules(points, one, one, np.array([0.25]))
         np.testing.assert_array_equal(dut, [0.75, np.nan])
+        two = np.vstack([one, one])
+        for i in range(2):
+            ends = [two, two.copy()]
+            ends[i] = two.copy()
+            ends[i][1, 2] = np.nan
+            dut = mut.point_to_capsules(points, *ends, np.full(2, 0.25))
+            self.assertTrue(np.isnan(dut).all())
