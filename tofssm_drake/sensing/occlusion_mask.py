@@ -11,7 +11,13 @@ import numpy as np
 from pydrake.common.value import Value
 from pydrake.geometry import FrameId, GeometryId
 from pydrake.math import RigidTransform
-from pydrake.systems.framework import Context, LeafSystem, State
+from pydrake.systems.framework import (
+    Context,
+    DiscreteValues,
+    EventStatus,
+    LeafSystem,
+    State,
+)
 
 from tofssm_drake.errors import require
 from tofssm_drake.geometry.fan import make_cone_fan
@@ -157,6 +163,10 @@ class Twin(Protocol):
 
 _VALID = int(Reading.VALID)
 _EDGE_RAYS = 16
+
+# A robot this slow does not move by a millimetre within the time margin,
+# rad/s.
+_STILL = 0.05
 
 # Columns of the history's table.
 _TIME, _POSITION, _VELOCITY = 0, slice(1, 7), slice(7, 13)
@@ -367,8 +377,8 @@ def mask_scan(
     self_distance, reports = cast(0.0)
     result = interpret(self_distance)
     if config.enabled and config.time_margin > 0.0 and result[-1]:
-        # A wider look can only turn valid readings into masked ones, so it is
-        # left for when there are any.
+        # A wider look can only turn valid readings into masked ones of a
+        # robot that moves, so it is left for then.
         early, _ = cast(-config.time_margin)
         late, _ = cast(config.time_margin)
         result = interpret(np.hstack([self_distance, early, late]))
@@ -482,6 +492,7 @@ def _interpret(
     )
     is_other = False
     some_valid = False
+    speed = 0.0
     position = np.empty((n, 6))
     velocity = np.empty((n, 6))
     last_report = reports.shape[0] - 1
@@ -494,6 +505,7 @@ def _interpret(
         for j in range(6):
             position[i, j] = report[1 + j]
             velocity[i, j] = report[7 + j]
+            speed = max(speed, abs(velocity[i, j]))
     previous_distance, previous_time = pick_previous(
         sensor_time,
         before_time,
@@ -512,18 +524,15 @@ def _interpret(
         previous_time,
         position,
         velocity,
-        some_valid,
+        some_valid and speed > _STILL,
     )
 
 
 @dc.dataclass(frozen=True, eq=False)
-class _MaskState:
-    """All that the system remembers, in one piece: cheap to copy."""
+class _MaskedScans:
+    """The last of each ring, in one piece: cheap to copy."""
 
-    table: np.ndarray
-    """The robot's reports, see `make_robot_history`."""
-    masked_scans: tuple[MaskedScan, ...]
-    """The last of each ring."""
+    of_ring: tuple[MaskedScan, ...]
 
     def __deepcopy__(self, memo):
         return self
@@ -598,60 +607,72 @@ class OcclusionMask(LeafSystem):
         )
         # A sample that is not stale lies within the history.
         length = math.ceil(config.max_age / config.period) + 2
-        self._state = self.DeclareAbstractState(
-            Value(
-                _MaskState(
-                    table=make_robot_history(length),
-                    masked_scans=(MaskedScan(),) * len(name),
-                )
-            )
+        self._history = self.DeclareDiscreteState(
+            make_robot_history(length).ravel()
+        )
+        self._masked_scans = self.DeclareAbstractState(
+            Value(_MaskedScans((MaskedScan(),) * len(name)))
         )
         for index, ring in enumerate(name):
             self.DeclareAbstractOutputPort(
                 f"masked_scan_{ring}",
                 Value(MaskedScan()).Clone,
                 functools.partial(self._calc_masked_scan, index=index),
-                prerequisites_of_calc={self.abstract_state_ticket(self._state)},
+                prerequisites_of_calc={
+                    self.abstract_state_ticket(self._masked_scans)
+                },
             )
+        # Two events: most ticks bring no scan, and what follows from the
+        # masked scans is then not computed again.
         self.DeclarePeriodicUnrestrictedUpdateEvent(
-            config.period, 0.0, self._update
+            config.period, 0.0, self._mask
+        )
+        self.DeclarePeriodicDiscreteUpdateEvent(
+            config.period, 0.0, self._remember
         )
 
     def _calc_masked_scan(self, context: Context, output, index: int):
-        state = context.get_abstract_state(self._state).get_value()
-        output.set_value(state.masked_scans[index])
+        masked_scans = context.get_abstract_state(self._masked_scans)
+        output.set_value(masked_scans.get_value().of_ring[index])
 
-    def _update(self, context: Context, state: State):
-        time = context.get_time()
-        value = state.get_mutable_abstract_state(self._state)
-        before = value.get_value()
-        table = push_report(
-            before.table,
-            time,
+    def _push_report(self, context: Context) -> np.ndarray:
+        """Returns the history with the present report added."""
+        history = context.get_discrete_state(self._history).value()
+        return push_report(
+            history.reshape(-1, _COLUMNS),
+            context.get_time(),
             self._position.Eval(context),
             self._velocity.Eval(context),
             self._gripper_closed.Eval(context)[0],
             self._products_placed.Eval(context)[0],
         )
-        masked_scans = before.masked_scans
+
+    def _remember(self, context: Context, discrete_state: DiscreteValues):
+        discrete_state.set_value(
+            self._history, self._push_report(context).ravel()
+        )
+
+    def _mask(self, context: Context, state: State):
+        value = state.get_mutable_abstract_state(self._masked_scans)
+        masked_scans = list(value.get_value().of_ring)
+        table = None
         for i, port in enumerate(self._scans):
             scan = port.Eval(context)
-            masked_scan = masked_scans[i]
-            if scan.sequence == masked_scan.scan.sequence:
+            if scan.sequence == masked_scans[i].scan.sequence:
                 continue
-            masked_scan = mask_scan(
+            if table is None:
+                table = self._push_report(context)
+            masked_scans[i] = mask_scan(
                 self._config,
                 scan=scan,
-                before=masked_scan,
-                time=time,
+                before=masked_scans[i],
+                time=context.get_time(),
                 table=table,
                 caster=self._caster,
                 bundles=self._bundles[i],
                 twin=self._twin,
             )
-            masked_scans = (
-                *masked_scans[:i],
-                masked_scan,
-                *masked_scans[i + 1 :],
-            )
-        value.set_value(_MaskState(table, masked_scans))
+        if table is None:
+            return EventStatus.DidNothing()
+        value.set_value(_MaskedScans(tuple(masked_scans)))
+        return EventStatus.Succeeded()
