@@ -79,13 +79,15 @@ def make_scan(distance, status=0, *, sequence=0, time=1.0, n=8):
     )
 
 
-def make_history(times, positions, gripper_closed=0.0, products_placed=0.0):
+def make_history(
+    times, positions, gripper_closed=0.0, products_placed=0.0, scale=10.0
+):
     table = mut.make_robot_history(len(times))
     for time, position in zip(times, positions, strict=True):
         q = np.zeros(6)
         q[0] = position
         table = mut.push_report(
-            table, time, q, 10 * q, gripper_closed, products_placed
+            table, time, q, scale * q, gripper_closed, products_placed
         )
     return table
 
@@ -252,7 +254,7 @@ class TestMaskScan(unittest.TestCase):
         ((_, gripper_closed, products_placed),) = cell["twin"].asked
         self.assertEqual((gripper_closed, products_placed), (1.0, 3.0))
 
-    def mask_moving(self, distance, **settings):
+    def mask_moving(self, distance, still=False, **settings):
         """The robot comes at 1.5 m/s and is at 0.5 m at the sample's time."""
         config = mut.OcclusionMaskConfig(sigma=0.0, **settings)
         cell = make_cell(config)
@@ -262,7 +264,9 @@ class TestMaskScan(unittest.TestCase):
             scan=make_scan(distance, time=1.016),
             before=MaskedScan(),
             time=1.032,
-            table=make_history(times, 0.5 - 1.5 * (times - 1.016)),
+            table=make_history(
+                times, 0.5 - 1.5 * (times - 1.016), scale=0.0 if still else 1.0
+            ),
             **cell,
         )
         return dut, len(cell["twin"].asked)
@@ -288,6 +292,8 @@ class TestMaskScan(unittest.TestCase):
         self.assertEqual(poses, 1)
         _, poses = self.mask_moving(0.4, time_margin=0.004)
         self.assertEqual(poses, 3)
+        _, poses = self.mask_moving(0.4, time_margin=0.004, still=True)
+        self.assertEqual(poses, 1)
         _, poses = self.mask_moving(0.4, time_margin=0.004, enabled=False)
         self.assertEqual(poses, 0)
 

@@ -10,7 +10,6 @@ from pydrake.geometry import (
     GeometryFrame,
     GeometryInstance,
     PerceptionProperties,
-    QueryObject,
     SceneGraph,
     Sphere,
 )
@@ -121,36 +120,36 @@ def make_ideal(**settings):
 
 
 class Counter(LeafSystem):
-    """Counts its steps, and tells them where a QueryObject is expected."""
+    """A frame that moves by 0.1 mm along x at each of its steps."""
 
     def __init__(self, period):
         super().__init__()
         self.DeclareDiscreteState(1)
         self.DeclarePeriodicDiscreteUpdateEvent(period, 0.0, self.update)
         self.DeclareAbstractOutputPort(
-            "count",
-            Value(QueryObject()).Clone,
-            lambda context, output: None,
+            "frame_poses",
+            Value(np.zeros((1, 3, 4))).Clone,
+            self.calc_frame_poses,
             prerequisites_of_calc={self.xd_ticket()},
         )
-        self.count = 0
 
     def update(self, context, discrete_state):
-        self.count += 1
-        discrete_state.set_value([self.count])
+        count = context.get_discrete_state_vector()[0]
+        discrete_state.set_value([count + 1.0])
+
+    def calc_frame_poses(self, context, output):
+        X_WF = np.eye(3, 4)[None].copy()
+        X_WF[0, 0, 3] = 1e-4 * context.get_discrete_state_vector()[0]
+        output.set_value(X_WF)
 
 
-class CounterCaster:
-    """A caster whose one ray is as long as the count."""
+class XCaster:
+    """A caster whose one ray is as long as the one frame's x."""
 
-    def __init__(self, counter):
-        self.counter = counter
-
-    def poses_from_query_object(self, query_object):
-        return None
+    frame_ids = (None,)
 
     def cast_bundles(self, bundles, X_WF):
-        return np.array([[1e-4 * self.counter.count]]), None
+        return X_WF[:1, 0, 3:4].copy(), None
 
 
 class TestConfig(unittest.TestCase):
@@ -249,14 +248,14 @@ class TestTofRing(unittest.TestCase):
         sampler = builder.AddSystem(
             mut.TofRing(
                 config=make_ideal(),
-                caster=CounterCaster(counter),
+                caster=XCaster(),
                 bundles=SimpleNamespace(num_bundles=1),
                 phase=0.008,
             )
         )
         builder.Connect(
-            counter.GetOutputPort("count"),
-            sampler.GetInputPort("geometry_query"),
+            counter.GetOutputPort("frame_poses"),
+            sampler.GetInputPort("frame_poses"),
         )
         builder.ExportOutput(sampler.GetOutputPort("scan"), "scan")
         for i, scan in enumerate(

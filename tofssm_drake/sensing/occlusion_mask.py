@@ -13,6 +13,7 @@ from pydrake.geometry import FrameId, GeometryId
 from pydrake.math import RigidTransform
 from pydrake.systems.framework import (
     Context,
+    DiscreteValues,
     EventStatus,
     LeafSystem,
     State,
@@ -162,6 +163,10 @@ class Twin(Protocol):
 
 _VALID = int(Reading.VALID)
 _EDGE_RAYS = 16
+
+# A robot this slow does not move by a millimetre within the time margin,
+# rad/s.
+_STILL = 0.05
 
 # Columns of the history's table.
 _TIME, _POSITION, _VELOCITY = 0, slice(1, 7), slice(7, 13)
@@ -372,8 +377,8 @@ def mask_scan(
     self_distance, reports = cast(0.0)
     result = interpret(self_distance)
     if config.enabled and config.time_margin > 0.0 and result[-1]:
-        # A wider look can only turn valid readings into masked ones, so it is
-        # left for when there are any.
+        # A wider look can only turn valid readings into masked ones of a
+        # robot that moves, so it is left for then.
         early, _ = cast(-config.time_margin)
         late, _ = cast(config.time_margin)
         result = interpret(np.hstack([self_distance, early, late]))
@@ -487,6 +492,7 @@ def _interpret(
     )
     is_other = False
     some_valid = False
+    speed = 0.0
     position = np.empty((n, 6))
     velocity = np.empty((n, 6))
     last_report = reports.shape[0] - 1
@@ -499,6 +505,7 @@ def _interpret(
         for j in range(6):
             position[i, j] = report[1 + j]
             velocity[i, j] = report[7 + j]
+            speed = max(speed, abs(velocity[i, j]))
     previous_distance, previous_time = pick_previous(
         sensor_time,
         before_time,
@@ -517,8 +524,18 @@ def _interpret(
         previous_time,
         position,
         velocity,
-        some_valid,
+        some_valid and speed > _STILL,
     )
+
+
+@dc.dataclass(frozen=True, eq=False)
+class _MaskedScans:
+    """The last of each ring, in one piece: cheap to copy."""
+
+    of_ring: tuple[MaskedScan, ...]
+
+    def __deepcopy__(self, memo):
+        return self
 
 
 class OcclusionMask(LeafSystem):
@@ -590,14 +607,11 @@ class OcclusionMask(LeafSystem):
         )
         # A sample that is not stale lies within the history.
         length = math.ceil(config.max_age / config.period) + 2
-        self._shape = make_robot_history(length).shape
-        # Reports are numbers and new every tick, masked scans are not: in
-        # states of their own, so that one does not make the other seem new.
         self._history = self.DeclareDiscreteState(
             make_robot_history(length).ravel()
         )
         self._masked_scans = self.DeclareAbstractState(
-            Value((MaskedScan(),) * len(name))
+            Value(_MaskedScans((MaskedScan(),) * len(name)))
         )
         for index, ring in enumerate(name):
             self.DeclareAbstractOutputPort(
@@ -608,22 +622,24 @@ class OcclusionMask(LeafSystem):
                     self.abstract_state_ticket(self._masked_scans)
                 },
             )
+        # Two events: most ticks bring no scan, and what follows from the
+        # masked scans is then not computed again.
         self.DeclarePeriodicUnrestrictedUpdateEvent(
-            config.period, 0.0, self._mask_new_scans
+            config.period, 0.0, self._mask
         )
         self.DeclarePeriodicDiscreteUpdateEvent(
-            config.period, 0.0, self._remember_report
+            config.period, 0.0, self._remember
         )
 
     def _calc_masked_scan(self, context: Context, output, index: int):
         masked_scans = context.get_abstract_state(self._masked_scans)
-        output.set_value(masked_scans.get_value()[index])
+        output.set_value(masked_scans.get_value().of_ring[index])
 
-    def _add_report(self, context: Context) -> np.ndarray:
-        """Returns the history with what the robot reports now."""
+    def _push_report(self, context: Context) -> np.ndarray:
+        """Returns the history with the present report added."""
         history = context.get_discrete_state(self._history).value()
         return push_report(
-            history.reshape(self._shape),
+            history.reshape(-1, _COLUMNS),
             context.get_time(),
             self._position.Eval(context),
             self._velocity.Eval(context),
@@ -631,29 +647,24 @@ class OcclusionMask(LeafSystem):
             self._products_placed.Eval(context)[0],
         )
 
-    def _remember_report(self, context: Context, discrete_state):
+    def _remember(self, context: Context, discrete_state: DiscreteValues):
         discrete_state.set_value(
-            self._history, self._add_report(context).ravel()
+            self._history, self._push_report(context).ravel()
         )
 
-    def _mask_new_scans(self, context: Context, state: State):
+    def _mask(self, context: Context, state: State):
         value = state.get_mutable_abstract_state(self._masked_scans)
-        masked_scans = list(value.get_value())
-        scans = [port.Eval(context) for port in self._scans]
-        new = [
-            i
-            for i, (scan, before) in enumerate(
-                zip(scans, masked_scans, strict=True)
-            )
-            if scan.sequence != before.scan.sequence
-        ]
-        if not new:
-            return EventStatus.DidNothing()
-        table = self._add_report(context)
-        for i in new:
+        masked_scans = list(value.get_value().of_ring)
+        table = None
+        for i, port in enumerate(self._scans):
+            scan = port.Eval(context)
+            if scan.sequence == masked_scans[i].scan.sequence:
+                continue
+            if table is None:
+                table = self._push_report(context)
             masked_scans[i] = mask_scan(
                 self._config,
-                scan=scans[i],
+                scan=scan,
                 before=masked_scans[i],
                 time=context.get_time(),
                 table=table,
@@ -661,5 +672,7 @@ class OcclusionMask(LeafSystem):
                 bundles=self._bundles[i],
                 twin=self._twin,
             )
-        value.set_value(tuple(masked_scans))
+        if table is None:
+            return EventStatus.DidNothing()
+        value.set_value(_MaskedScans(tuple(masked_scans)))
         return EventStatus.Succeeded()
