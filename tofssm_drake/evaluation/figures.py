@@ -286,25 +286,50 @@ def _is_close(samples):
 
 
 def make_timeline(samples: Samples, *, narrow: bool = False) -> Figure:
-    """State, tool speed and the deciding ring's distance over time."""
+    """State, tool speed and the deciding ring's distance over time.
+
+    A long run is broken into rows of at most a minute.
+    """
+    t = samples["t"]
+    rows = max(int(np.ceil((t[-1] - t[0]) / 60.0)), 1)
+    edges = np.linspace(t[0], max(t[-1], t[0] + 1e-3), rows + 1)
     columns = 2 if narrow else 4
+    contacts = find_contacts(samples)
+    top = None
     with matplotlib.rc_context(_STYLE):
         figure = Figure(
-            figsize=(4.3, 7.4) if narrow else (10.6, 6.6),
+            figsize=(
+                (4.3, 1.8 + 5.0 * rows) if narrow else (10.6, 1.3 + 4.6 * rows)
+            ),
             layout="constrained",
         )
-        axes = figure.subplots(
-            3, 1, sharex=True, height_ratios=[0.55, 1.3, 2.2]
+        all_axes = figure.subplots(
+            3 * rows, 1, height_ratios=[0.5, 1.3, 2.4] * rows
         )
-        _draw_state(axes[0], samples)
-        _draw_speed(axes[1], samples, columns, narrow)
-        _draw_distance(axes[2], samples, columns, narrow)
-        contacts = find_contacts(samples)
-        _mark_contacts(axes, contacts)
-        axes[2].set_xlabel("time (s)")
-        t = samples["t"]
-        axes[2].set_xlim(t[0], max(t[-1], t[0] + 1e-3))
+        for row in range(rows):
+            axes = all_axes[3 * row : 3 * row + 3]
+            part = _cut(samples, edges[row], edges[row + 1])
+            shown = columns if not row else 0
+            _draw_state(axes[0], part)
+            _draw_speed(axes[1], part, shown, narrow)
+            top = _draw_distance(
+                axes[2], part, shown, narrow, top, bool(contacts)
+            )
+            _mark_contacts(axes, contacts)
+            for ax in axes:
+                ax.set_xlim(edges[row], edges[row + 1])
+            for ax in axes[:2]:
+                ax.tick_params(labelbottom=False)
+        all_axes[-1].set_xlabel("time (s)")
     return figure
+
+
+def _cut(samples, start, end):
+    rows = (samples["t"] >= start - 1e-9) & (samples["t"] <= end + 1e-9)
+    return Samples(
+        column={name: values[rows] for name, values in samples.column.items()},
+        metadata=samples.metadata,
+    )
 
 
 def make_closeup(
@@ -316,12 +341,7 @@ def make_closeup(
     narrow: bool = False,
 ) -> Figure:
     """The same as `make_timeline` around one instant, s."""
-    t = samples["t"]
-    rows = (t >= time - before) & (t <= time + after)
-    part = Samples(
-        column={name: values[rows] for name, values in samples.column.items()},
-        metadata=samples.metadata,
-    )
+    part = _cut(samples, time - before, time + after)
     figure = make_timeline(part, narrow=narrow)
     for ax in figure.axes:
         ax.axvline(time, color=BLACK, linewidth=0.9, linestyle=(0, (1, 2)))
@@ -341,7 +361,6 @@ def _draw_state(ax, samples):
     ax.set_ylim(0, 1)
     ax.set_yticks([1 / 3, 2 / 3, 1], ["normal", "reduced", "stopped"])
     ax.grid(False)
-    ax.set_title("Robot state")
 
 
 def _draw_speed(ax, samples, columns, narrow):
@@ -350,7 +369,7 @@ def _draw_speed(ax, samples, columns, narrow):
     speed = samples["tcp_speed"]
     top = max(1.8, float(np.max(speed, initial=0)) * 1.05)
     ax.set_ylim(0, top)
-    ax.set_ylabel("tool speed (m/s)")
+    ax.set_ylabel("tool (m/s)")
     handles = [
         Line2D([], [], color=BLUE, label="tool speed"),
         *_state_handles(),
@@ -370,10 +389,11 @@ def _draw_speed(ax, samples, columns, narrow):
         time, _, _, greatest = thin(t, speed, 2 * _count_buckets(narrow))
         ax.fill_between(time, 0, greatest, color=BLUE, alpha=0.25, linewidth=0)
         ax.plot(time, greatest, color=BLUE, linewidth=0.9)
-    _legend(ax, handles, columns)
+    if columns:
+        _legend(ax, handles, columns)
 
 
-def _draw_distance(ax, samples, columns, narrow):
+def _draw_distance(ax, samples, columns, narrow, top, touched):
     _shade(ax, samples)
     t = samples["t"]
     ring = find_deciding_ring(samples)
@@ -402,14 +422,18 @@ def _draw_distance(ax, samples, columns, narrow):
         linestyle=(0, (5, 1.5)),
         label="true, surface to surface",
     )
-    ax.set_ylim(0, _limit_distance(reduced, measured))
-    ax.set_ylabel("distance to the person (m)")
+    top = top or _limit_distance(reduced, measured)
+    ax.set_ylim(0, top)
+    ax.set_ylabel("distance (m)")
+    if not columns:
+        return top
     handles = ax.get_legend_handles_labels()[0]
-    if find_contacts(samples):
+    if touched:
         handles.append(
             Line2D([], [], color=PURPLE, label="contact while moving")
         )
     _legend(ax, handles, columns)
+    return top
 
 
 def make_plan(samples: Samples, *, narrow: bool = False) -> Figure:
