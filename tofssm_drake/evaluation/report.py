@@ -420,7 +420,7 @@ def make_report(
         .read_text(encoding="utf-8")
     )
     has_samples = len(samples) > 1
-    return template.render(
+    page = template.render(
         interrupted=bool(metadata.get("interrupted")),
         scenario=metadata.get("scenario", ""),
         versions=metadata.get("versions", {}),
@@ -443,6 +443,7 @@ def make_report(
         rings=_make_ring_rows(samples, summary),
         facts=_make_facts(samples, summary),
     )
+    return page.lstrip()
 
 
 def _make_ring_rows(samples, summary):
