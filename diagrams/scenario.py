@@ -70,9 +70,7 @@ class Scenario:
 
     # First sample of the rings base, elbow and tool, s: their turns, so that
     # not all rings use the host at once. *Assumed*.
-    ring_phases: list[float] = dc.field(
-        default_factory=lambda: [0.0, 0.008, 0.016]
-    )
+    ring_phases: list[float] = dc.field(default_factory=lambda: [0.0, 0.0, 0.0])
 
     # Which readings are the robot's own.
     mask: OcclusionMaskConfig = dc.field(default_factory=OcclusionMaskConfig)

@@ -1,6 +1,5 @@
 """Runs a workcell from its start to the end of its task."""
 
-from collections.abc import Callable
 import dataclasses as dc
 import time
 
@@ -85,22 +84,3 @@ class Run:
     def make_samples(self) -> Samples:
         """Returns what was recorded so far."""
         return self._workcell.recorder.make_samples(self._context)
-
-
-def run_to_end(
-    run: Run, report: Callable[[Progress], None] = lambda progress: None
-) -> Progress:
-    """Advances a run until it is finished.
-
-    Args:
-        run: The run.
-        report: Called after every step.
-
-    Returns:
-        The last progress.
-    """
-    while True:
-        progress = run.advance()
-        report(progress)
-        if progress.finished:
-            return progress

@@ -1,9 +1,15 @@
 """Station and monitor in a loop, with truth and record beside them."""
 
 import dataclasses as dc
+import math
 
 from pydrake.common import RandomGenerator
-from pydrake.geometry import Meshcat, MeshcatVisualizer
+from pydrake.geometry import (
+    Meshcat,
+    MeshcatVisualizer,
+    MeshcatVisualizerParams,
+    Role,
+)
 from pydrake.systems.framework import Context, Diagram, DiagramBuilder
 
 from tofssm_drake.diagrams.monitor import make_monitor
@@ -13,6 +19,10 @@ from tofssm_drake.diagrams.station import Station, make_station
 from tofssm_drake.evaluation.ground_truth import GroundTruth
 from tofssm_drake.evaluation.recorder import SampleRecorder
 from tofssm_drake.messages import RINGS
+from tofssm_drake.sensing.vl53l1x import calc_cast_range
+from tofssm_drake.visualization.recording import FPS, set_scene
+from tofssm_drake.visualization.ring_rays import RingRays
+from tofssm_drake.visualization.state_light import StateLight
 
 
 @dc.dataclass(frozen=True, eq=False, kw_only=True)
@@ -115,6 +125,36 @@ def _add_recorder(builder, scenario, station, monitor, truth):
 
 
 def _add_display(builder, scenario, station, monitor, meshcat):
+    """Shows robot, cell, person, beams and state."""
+    set_scene(meshcat)
+    period = 1.0 / FPS
     MeshcatVisualizer.AddToBuilder(
-        builder, station.diagram.GetOutputPort("geometry_query"), meshcat
+        builder,
+        station.diagram.GetOutputPort("geometry_query"),
+        meshcat,
+        MeshcatVisualizerParams(role=Role.kIllustration, publish_period=period),
+    )
+    rays = builder.AddNamedSystem(
+        "ring_rays",
+        RingRays(
+            meshcat=meshcat,
+            plant=station.plant,
+            fov=math.radians(scenario.rings.fov_deg),
+            max_range=calc_cast_range(scenario.rings.sensor),
+            sensors_per_ring=scenario.sensors_per_ring,
+            period=period,
+        ),
+    )
+    builder.Connect(
+        station.diagram.GetOutputPort("position_measured"),
+        rays.GetInputPort("position"),
+    )
+    for name in RINGS:
+        port = f"masked_scan_{name}"
+        builder.Connect(monitor.GetOutputPort(port), rays.GetInputPort(port))
+    light = builder.AddNamedSystem(
+        "state_light", StateLight(meshcat=meshcat, period=period)
+    )
+    builder.Connect(
+        monitor.GetOutputPort("robot_state"), light.GetInputPort("robot_state")
     )

@@ -11,14 +11,11 @@ import sys
 import tempfile
 from typing import Annotated
 
+from pydrake.geometry import Meshcat
 from pydrake.systems.framework import Diagram
 from rich.console import Console
-from rich.progress import (
-    BarColumn,
-    Progress,
-    TextColumn,
-    TimeElapsedColumn,
-)
+from rich.progress import BarColumn, TextColumn, TimeElapsedColumn
+from rich.progress import Progress as ProgressBar
 import typer
 
 from tofssm_drake.diagrams.scenario import (
@@ -26,14 +23,22 @@ from tofssm_drake.diagrams.scenario import (
     dump_scenario,
     load_scenario,
 )
-from tofssm_drake.diagrams.simulation import Run
+from tofssm_drake.diagrams.simulation import Progress, Run
 from tofssm_drake.diagrams.workcell import Workcell, make_workcell
 from tofssm_drake.errors import UserError, require
 from tofssm_drake.evaluation.metrics import calc_summary
 from tofssm_drake.evaluation.report import write_report
-from tofssm_drake.evaluation.samples import write_atomically, write_samples
+from tofssm_drake.evaluation.samples import (
+    Samples,
+    write_atomically,
+    write_samples,
+)
 from tofssm_drake.human.bvh import BvhRecording
 from tofssm_drake.ssm.config import CONFIGURATIONS
+from tofssm_drake.visualization.recording import (
+    start_recording,
+    write_recording,
+)
 
 
 def simulate(
@@ -100,13 +105,30 @@ def simulate(
         duration=duration,
     )
     require_drawable(graphviz)
-    workcell = make_workcell(scenario)
+    display = Meshcat() if meshcat or recording else None
+    workcell = make_workcell(scenario, meshcat=display)
     # Whatever a user can get wrong is known by now: nothing is written before.
     make_folder(out)
     if graphviz:
         draw_diagram(workcell.diagram, graphviz)
-    interrupted = run_and_report(workcell, scenario, scenario_name, out)
-    return 130 if interrupted else 0
+    if recording:
+        start_recording(display, live=meshcat)
+    samples, progress = run(workcell, scenario, live=meshcat)
+    samples.metadata |= {
+        "scenario_name": scenario_name,
+        "command": shlex.join(["tofssm", *sys.argv[1:]]),
+    }
+    summary = summarize(scenario, samples, progress)
+    write_results(samples, summary, out)
+    if recording:
+        write_recording(
+            display,
+            out / "recording.html",
+            samples=samples,
+            title=f"tofssm_drake: {scenario_name}",
+        )
+    tell(summary, out)
+    return 130 if summary["interrupted"] else 0
 
 
 def override(
@@ -230,74 +252,88 @@ def catch_stop():
             signal.signal(number, handler)
 
 
-def run_and_report(
-    workcell: Workcell, scenario: Scenario, name: str, out: Path
-) -> bool:
-    """Runs to the end and writes what was recorded.
+def run(
+    workcell: Workcell, scenario: Scenario, *, live: bool = False
+) -> tuple[Samples, Progress]:
+    """Runs a workcell to its end, or until Ctrl-C, with a progress bar.
 
     Args:
         workcell: Made from the scenario.
         scenario: The scenario as run.
-        name: Its name.
-        out: Folder for the results.
+        live: No faster than the clock, for watching.
 
     Returns:
-        Whether the run was interrupted; what it has is written all the same.
+        What was recorded, with whether it was interrupted in its metadata,
+        and how far the run came.
     """
-    console = Console(stderr=True)
-    with catch_stop() as stopped:
-        run = Run(workcell=workcell, scenario=scenario)
-        with make_progress_bar(console) as bar:
-            task = bar.add_task(
-                "", total=scenario.program.products, time=0.0, factor=0.0
+    with catch_stop() as stopped, make_progress_bar() as bar:
+        run = Run(
+            workcell=workcell,
+            scenario=scenario,
+            real_time_rate=1.0 if live else 0.0,
+        )
+        task = bar.add_task(
+            "", total=scenario.program.products, time=0.0, factor=0.0
+        )
+        while True:
+            progress = run.advance()
+            bar.update(
+                task,
+                completed=progress.products_placed,
+                time=progress.time,
+                factor=progress.real_time_factor,
             )
-            while True:
-                progress = run.advance()
-                bar.update(
-                    task,
-                    completed=progress.products_placed,
-                    time=progress.time,
-                    factor=progress.real_time_factor,
-                )
-                if progress.finished or stopped:
-                    break
+            if progress.finished or stopped:
+                break
     samples = run.make_samples()
-    samples.metadata |= {
-        "scenario_name": name,
-        "command": shlex.join(["tofssm", *sys.argv[1:]]),
-        "interrupted": bool(stopped),
-    }
-    summary = calc_summary(samples, products=scenario.program.products)
-    summary |= {
-        "interrupted": bool(stopped),
+    samples.metadata["interrupted"] = bool(stopped) and not progress.finished
+    return samples, progress
+
+
+def summarize(scenario: Scenario, samples: Samples, progress: Progress) -> dict:
+    """Returns the content of summary.json."""
+    metadata = samples.metadata
+    return calc_summary(samples, products=scenario.program.products) | {
+        "interrupted": metadata["interrupted"],
         "real_time_factor": progress.real_time_factor,
         "seed": scenario.random_seed,
-        "scenario_name": name,
+        "scenario_name": metadata["scenario_name"],
         "scenario": dump_scenario(scenario),
-        "versions": samples.metadata["versions"],
+        "versions": metadata["versions"],
     }
+
+
+def write_results(samples: Samples, summary: dict, out: Path) -> None:
+    """Writes summary, samples and report into a folder, each file whole."""
     write_samples(samples, out)
     text = json.dumps(summary, indent=2, allow_nan=False) + "\n"
     write_atomically(out / "summary.json", lambda p: p.write_text(text))
     write_report(samples, summary, out / "report.html")
-    console.print(
-        f"{progress.products_placed} of {scenario.program.products} products "
-        f"in {progress.time:.1f} s, {progress.real_time_factor:.1f} times "
-        f"faster than real time{' (interrupted)' if stopped else ''}",
-        highlight=False,
+
+
+def tell(summary: dict, out: Path) -> None:
+    """Prints what came of it and where the report is."""
+    end = " until interrupted" if summary["interrupted"] else ""
+    print(
+        f"{summary['products_placed']} products placed in "
+        f"{summary['simulated_s']:.1f} s{end}; "
+        f"{summary['stop_events']} stops, "
+        f"{summary['contact_while_moving_events']} contacts while moving; "
+        f"{summary['real_time_factor']:.1f} x real time"
     )
-    print(f"Report: {(out / 'report.html').resolve()}")
-    return bool(stopped)
+    for name in ("report.html", "recording.html"):
+        if (out / name).exists():
+            print((out / name).resolve())
 
 
-def make_progress_bar(console: Console) -> Progress:
+def make_progress_bar() -> ProgressBar:
     """Returns a bar of products with simulated time and real-time factor."""
-    return Progress(
+    return ProgressBar(
         TextColumn("simulating"),
         BarColumn(),
         TextColumn("{task.completed:.0f}/{task.total:.0f} products"),
         TextColumn("{task.fields[time]:6.1f} s simulated"),
         TextColumn("{task.fields[factor]:5.1f} x real time"),
         TimeElapsedColumn(),
-        console=console,
+        console=Console(stderr=True),
     )

@@ -5,6 +5,7 @@ import inspect
 import pkgutil
 import unittest
 
+from pydrake.geometry import Meshcat
 from pydrake.systems.framework import Diagram, LeafSystem
 import yaml
 
@@ -67,7 +68,7 @@ class TestSystemBlocks(unittest.TestCase):
     @classmethod
     def setUpClass(cls):
         cls.scenario = load_scenario()
-        cls.workcell = make_workcell(cls.scenario, meshcat=None)
+        cls.workcell = make_workcell(cls.scenario, meshcat=Meshcat())
 
     def check(self, system, docstring):
         block = read_block(docstring)

@@ -285,6 +285,78 @@ class TestBundles(unittest.TestCase):
             self.dut.cast(X_WF, [[0.0, 0, 0]], [[1.0, 0, 0]])
 
 
+class TestNormals(unittest.TestCase):
+    def test_each_kind_against_the_closed_form(self):
+        rng = np.random.default_rng(11)
+        scene = oracle.make_random_scene(rng, oracle.KINDS * 2)
+        dut = mut.RayCaster(scene.inspector)
+        X_WF = dut.poses_from_query_object(scene.query_object())
+        p_WR = rng.uniform(-1.5, 1.5, (5000, 3))
+        n_WR = oracle.make_unit_vectors(rng, 5000)
+        distance, index = dut.cast(X_WF, p_WR, n_WR)
+        normals = dut.calc_normals(X_WF, p_WR, n_WR, distance, index)
+        seen = np.isfinite(distance) & (distance > 0)
+        self.assertTrue(np.isnan(normals[~seen]).all())
+        shapes, X_WG = scene.shapes_in_order(dut.geometry_ids)
+        kinds = set()
+        for i in np.flatnonzero(seen):
+            X = X_WG[index[i]]
+            shape = shapes[index[i]]
+            p = X.inverse() @ (p_WR[i] + distance[i] * n_WR[i])
+            want = X.rotation() @ calc_normal(shape, p[None])[0]
+            np.testing.assert_allclose(normals[i], want, atol=1e-9)
+            self.assertLess(normals[i] @ n_WR[i], 0)
+            kinds.add(type(shape))
+        self.assertEqual(len(kinds), len(oracle.KINDS))
+
+    def test_bundles(self):
+        scene = oracle.Scene()
+        link = scene.add_frame(RigidTransform([0, 0, 2]))
+        scene.add(HalfSpace())
+        dut = mut.RayCaster(scene.inspector)
+        bundles = dut.make_bundles(
+            frame_id=link,
+            X_FS=[RigidTransform(RollPitchYaw(0, np.pi / 2, 0), [0, 0, 0])],
+            fan_S=make_cone_fan(1.0, 25),
+            max_range=9.0,
+        )
+        X_WF = dut.poses_from_query_object(scene.query_object())
+        hits = dut.cast_bundles(bundles, X_WF)
+        normals = dut.calc_normals(X_WF, *dut.calc_rays(bundles, X_WF), *hits)
+        self.assertEqual(normals.shape, (1, 25, 3))
+        np.testing.assert_allclose(
+            normals[0], np.tile([0, 0, 1.0], (25, 1)), atol=1e-15
+        )
+
+    def test_on_an_edge_the_side_that_faces_the_ray_counts(self):
+        for shape, p, n, want in (
+            (Box(2, 2, 2), [-3, 1, 0], [1, 0, 0], [-1, 0, 0]),
+            (Box(2, 2, 2), [-3, 2, 0], [2, -1, 0], [-1, 0, 0]),
+            (Box(2, 2, 2), [-2, 3, 0], [1, -2, 0], [0, 1, 0]),
+            (Cylinder(1, 2), [-3, 0, 1], [1, 0, 0], [-1, 0, 0]),
+            (Cylinder(1, 2), [1, 0, 5], [0, 0, -1], [0, 0, 1]),
+            (Cylinder(1, 2), [0, 0.5, -5], [0, 0, 1], [0, 0, -1]),
+        ):
+            with self.subTest(p=p, n=n):
+                scene = oracle.Scene()
+                scene.add(shape)
+                dut = mut.RayCaster(scene.inspector)
+                X_WF = dut.poses_from_query_object(scene.query_object())
+                p_WR, n_WR = [p], [np.array(n) / np.linalg.norm(n)]
+                hits = dut.cast(X_WF, p_WR, n_WR)
+                self.assertTrue(np.isfinite(hits[0][0]))
+                normals = dut.calc_normals(X_WF, p_WR, n_WR, *hits)
+                np.testing.assert_array_equal(normals[0], want)
+
+    def test_wrong_arguments(self):
+        scene = oracle.Scene()
+        dut = mut.RayCaster(scene.inspector)
+        X_WF = dut.poses_from_query_object(scene.query_object())
+        three = np.zeros((3, 3))
+        with self.assertRaisesRegex(ValueError, "do not belong together"):
+            dut.calc_normals(X_WF, three, three, np.zeros(2), np.zeros(2))
+
+
 class TestRayCaster(unittest.TestCase):
     def test_roles_and_subsets(self):
         scene = oracle.Scene()

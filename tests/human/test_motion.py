@@ -97,11 +97,6 @@ class MotionTest(unittest.TestCase):
                 stature=1.75,
             )
 
-    def test_joint_positions(self):
-        motion = _make(40, loops=True)
-        row = mut.joint_positions(motion, 41 * 0.008)
-        np.testing.assert_array_equal(row["pelvis"], motion.joints[1, 0])
-
 
 if __name__ == "__main__":
     unittest.main()

@@ -17,6 +17,7 @@ from pydrake.math import RigidTransform, RotationMatrix
 from pydrake.systems.analysis import Simulator
 
 from tofssm_drake.errors import UserError
+from tofssm_drake.geometry.fan import make_cone_fan
 from tofssm_drake.geometry.ray_caster import RayCaster
 from tofssm_drake.messages import RINGS, MaskedScan, Reading, RingScan
 import tofssm_drake.sensing.occlusion_mask as mut
@@ -102,6 +103,8 @@ class TestConfig(unittest.TestCase):
         self.assertFalse(dut.enabled)
         for name, bad in (
             ("sigma", -0.1),
+            ("edge_margin_deg", -1.0),
+            ("time_margin", 1.0),
             ("rays_per_sensor", -1),
             ("min_range", 1.0),
             ("max_range", np.nan),
@@ -112,11 +115,21 @@ class TestConfig(unittest.TestCase):
             with self.assertRaisesRegex(UserError, f"here.{name}: "):
                 mut.OcclusionMaskConfig(**{name: bad}).check("here")
 
-    def test_rays_are_the_rings_unless_set(self):
-        for rays, expected in ((0, 25), (9, 9)):
-            cell = make_cell(mut.OcclusionMaskConfig(rays_per_sensor=rays))
-            self.assertEqual(len(cell["bundles"].fan_S), expected)
+    def test_rays_are_the_rings_and_a_circle_beyond(self):
+        ring_config = TofRingConfig()
+        for rays, margin, expected in ((0, 0.0, 25), (9, 0.0, 9), (0, 1, 41)):
+            config = mut.OcclusionMaskConfig(
+                rays_per_sensor=rays, edge_margin_deg=margin
+            )
+            fan_S = mut.make_mask_fan(config, ring_config)
+            self.assertEqual(len(fan_S), expected)
+            angle = np.degrees(np.arccos(fan_S[:, 0]))
+            self.assertAlmostEqual(angle.max(), 12.5 + margin)
+            np.testing.assert_allclose(np.linalg.norm(fan_S, axis=1), 1.0)
+        same = mut.make_mask_fan(mut.OcclusionMaskConfig(), ring_config)[:25]
+        np.testing.assert_array_equal(same, make_cone_fan(np.radians(25.0), 25))
         # Farther than a sensor can measure by what a reading can be wrong.
+        cell = make_cell(config)
         np.testing.assert_allclose(cell["bundles"].max_range, 1.36 + 0.03)
 
 
@@ -238,6 +251,45 @@ class TestMaskScan(unittest.TestCase):
         self.assertEqual(dut.position.shape, (8, 6))
         ((_, gripper_closed, products_placed),) = cell["twin"].asked
         self.assertEqual((gripper_closed, products_placed), (1.0, 3.0))
+
+    def mask_moving(self, distance, **settings):
+        """The robot comes at 1.5 m/s and is at 0.5 m at the sample's time."""
+        config = mut.OcclusionMaskConfig(sigma=0.0, **settings)
+        cell = make_cell(config)
+        times = 1.0 + 0.008 * np.arange(5)
+        dut = mut.mask_scan(
+            config,
+            scan=make_scan(distance, time=1.016),
+            before=MaskedScan(),
+            time=1.032,
+            table=make_history(times, 0.5 - 1.5 * (times - 1.016)),
+            **cell,
+        )
+        return dut, len(cell["twin"].asked)
+
+    def test_robot_a_little_earlier_and_later_counts(self):
+        # In 4 ms it moves 6 mm.
+        for distance, expected in (
+            (0.4939, VALID),
+            (0.4941, MASKED),
+            (0.5, MASKED),
+        ):
+            dut, _ = self.mask_moving(distance, time_margin=0.004)
+            self.assertEqual(dut.reading[0], expected, distance)
+        dut, _ = self.mask_moving(0.4941, time_margin=0.0)
+        self.assertEqual(dut.reading[0], VALID)
+        farthest = dut.self_farthest[0]
+        for margin, expected in ((0.0, VALID), (0.004, MASKED)):
+            dut, _ = self.mask_moving(farthest + 0.005, time_margin=margin)
+            self.assertEqual(dut.reading[0], expected)
+
+    def test_second_look_only_where_it_can_matter(self):
+        _, poses = self.mask_moving(0.5, time_margin=0.004)
+        self.assertEqual(poses, 1)
+        _, poses = self.mask_moving(0.4, time_margin=0.004)
+        self.assertEqual(poses, 3)
+        _, poses = self.mask_moving(0.4, time_margin=0.004, enabled=False)
+        self.assertEqual(poses, 0)
 
     def test_each_sensor_at_its_own_time(self):
         config = mut.OcclusionMaskConfig()

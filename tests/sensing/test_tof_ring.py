@@ -1,3 +1,4 @@
+from types import SimpleNamespace
 import unittest
 
 import numpy as np
@@ -9,6 +10,7 @@ from pydrake.geometry import (
     GeometryFrame,
     GeometryInstance,
     PerceptionProperties,
+    QueryObject,
     SceneGraph,
     Sphere,
 )
@@ -118,6 +120,39 @@ def make_ideal(**settings):
     )
 
 
+class Counter(LeafSystem):
+    """Counts its steps, and tells them where a QueryObject is expected."""
+
+    def __init__(self, period):
+        super().__init__()
+        self.DeclareDiscreteState(1)
+        self.DeclarePeriodicDiscreteUpdateEvent(period, 0.0, self.update)
+        self.DeclareAbstractOutputPort(
+            "count",
+            Value(QueryObject()).Clone,
+            lambda context, output: None,
+            prerequisites_of_calc={self.xd_ticket()},
+        )
+        self.count = 0
+
+    def update(self, context, discrete_state):
+        self.count += 1
+        discrete_state.set_value([self.count])
+
+
+class CounterCaster:
+    """A caster whose one ray is as long as the count."""
+
+    def __init__(self, counter):
+        self.counter = counter
+
+    def poses_from_query_object(self, query_object):
+        return None
+
+    def cast_bundles(self, bundles, X_WF):
+        return np.array([[1e-4 * self.counter.count]]), None
+
+
 class TestConfig(unittest.TestCase):
     def test_defaults(self):
         dut = mut.TofRingConfig()
@@ -156,7 +191,7 @@ class TestTofRing(unittest.TestCase):
 
     def test_nothing_before_the_first_delivery(self):
         scans = self.run_until(
-            make_cell(make_ideal(), noise=None), [0.0, 0.0149, 0.0151]
+            make_cell(make_ideal(), noise=None), [0.0, 0.0389, 0.0391]
         )
         self.assertEqual([s.sequence for s in scans], [-1, -1, 0])
         self.assertIsInstance(scans[0], RingScan)
@@ -170,11 +205,14 @@ class TestTofRing(unittest.TestCase):
             seen = {s.sequence: s for s in scans if s.sequence >= 0}
             self.assertEqual(list(seen), list(range(len(seen))))
             for sequence, scan in seen.items():
-                time = phase + 0.024 * sequence
-                np.testing.assert_allclose(scan.sensor_time, time)
-                self.assertAlmostEqual(scan.time, time + 0.015)
+                # The first without a phase comes after one period.
+                time = (phase or 0.024) + 0.024 * sequence
+                np.testing.assert_allclose(
+                    scan.sensor_time, time, rtol=0, atol=2e-9
+                )
+                self.assertAlmostEqual(scan.time, time + 0.015, delta=2e-9)
                 self.assertAlmostEqual(
-                    scan.distance[0], 1.0 - SPEED * time, delta=1e-9
+                    scan.distance[0], 1.0 - SPEED * time, delta=2e-9
                 )
                 self.assertEqual(scan.status[0], 0)
                 self.assertTrue((scan.status[1:] == 2).all())
@@ -187,10 +225,10 @@ class TestTofRing(unittest.TestCase):
         scans = self.run_until(make_cell(config, noise=None), times)
         for time, scan in zip(times, scans, strict=True):
             # The newest that was taken a latency ago.
-            expected = int(np.floor((time - 0.070) / 0.024 + 1e-9))
-            self.assertEqual(scan.sequence, max(expected, -1))
+            taken = int(np.floor((time - 0.070) / 0.024))
+            self.assertEqual(scan.sequence, max(taken, 0) - 1)
             if scan.sequence >= 0:
-                self.assertAlmostEqual(scan.sensor_time[0], 0.024 * expected)
+                self.assertAlmostEqual(scan.sensor_time[0], 0.024 * taken)
 
     def test_capture_and_delivery_at_the_same_time(self):
         for readout, behind in ((0.014, 1), (0.038, 2)):
@@ -201,8 +239,32 @@ class TestTofRing(unittest.TestCase):
             )
             self.assertEqual(
                 [s.sequence for s in scans],
-                list(range(5 - behind, 15 - behind)),
+                list(range(4 - behind, 14 - behind)),
             )
+
+    def test_sample_at_a_plant_step_shows_the_world_before_it(self):
+        """Rounding must not decide: 0.008 + 6 * 0.024 > 19 * 0.008."""
+        builder = DiagramBuilder()
+        counter = builder.AddSystem(Counter(0.008))
+        sampler = builder.AddSystem(
+            mut.TofRing(
+                config=make_ideal(),
+                caster=CounterCaster(counter),
+                bundles=SimpleNamespace(num_bundles=1),
+                phase=0.008,
+            )
+        )
+        builder.Connect(
+            counter.GetOutputPort("count"),
+            sampler.GetInputPort("geometry_query"),
+        )
+        builder.ExportOutput(sampler.GetOutputPort("scan"), "scan")
+        for i, scan in enumerate(
+            self.run_until(builder.Build(), 0.030 + 0.024 * np.arange(100))
+        ):
+            self.assertEqual(scan.sequence, i)
+            # Steps at 0, 0.008, ..: the one at the sample's time is not yet.
+            self.assertAlmostEqual(scan.distance[0], 1e-4 * (1 + 3 * i))
 
     def test_starting_late_delivers_nothing_early(self):
         config = make_ideal()
@@ -224,26 +286,26 @@ class TestTofRing(unittest.TestCase):
 
     def test_does_not_see_its_own_housing(self):
         scan = self.run_until(
-            make_cell(make_ideal(), noise=None, housing=True), [0.02]
+            make_cell(make_ideal(), noise=None, housing=True), [0.04]
         )[0]
-        self.assertAlmostEqual(scan.distance[0], 1.0)
+        self.assertAlmostEqual(scan.distance[0], 0.988)
         self.assertTrue((scan.status[1:] == 2).all())
 
     def test_real_sensors_use_noise_and_errors(self):
         config = mut.TofRingConfig()
         errors = SensorErrors(bias=np.full(8, 0.01), gain=np.ones(8))
         scan = self.run_until(
-            make_cell(config, errors=errors, noise=0.0), [0.02]
+            make_cell(config, errors=errors, noise=0.0), [0.04]
         )[0]
-        self.assertAlmostEqual(scan.distance[0], 1.01)
+        self.assertAlmostEqual(scan.distance[0], 0.998)
         noisy = self.run_until(
-            make_cell(config, errors=errors, noise=1.0), [0.02]
+            make_cell(config, errors=errors, noise=1.0), [0.04]
         )[0]
-        self.assertAlmostEqual(noisy.distance[0], 1.012, delta=1e-9)
+        self.assertAlmostEqual(noisy.distance[0], 1.000, delta=1e-9)
 
     def test_noise_must_be_connected_unless_ideal(self):
         with self.assertRaisesRegex(RuntimeError, "noise"):
-            self.run_until(make_cell(mut.TofRingConfig(), noise=None), [0.02])
+            self.run_until(make_cell(mut.TofRingConfig(), noise=None), [0.04])
 
     def test_rejects_errors_of_another_ring(self):
         with self.assertRaisesRegex(ValueError, "8 sensors"):

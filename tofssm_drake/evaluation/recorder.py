@@ -22,9 +22,8 @@ _ROWS_PER_BLOCK = 4096
 class _Table:
     """Rows of numbers in blocks, so that appending never copies old rows."""
 
-    def __init__(self, width, dtype=np.float64):
+    def __init__(self, width):
         self._width = width
-        self._dtype = dtype
         self._blocks = []
         self._used = _ROWS_PER_BLOCK
 
@@ -34,9 +33,7 @@ class _Table:
     def append(self):
         """Returns a new row to be filled in."""
         if self._used == _ROWS_PER_BLOCK:
-            self._blocks.append(
-                np.empty((_ROWS_PER_BLOCK, self._width), dtype=self._dtype)
-            )
+            self._blocks.append(np.empty((_ROWS_PER_BLOCK, self._width)))
             self._used = 0
         row = self._blocks[-1][self._used]
         self._used += 1
@@ -44,7 +41,7 @@ class _Table:
 
     def to_array(self):
         if not self._blocks:
-            return np.empty((0, self._width), dtype=self._dtype)
+            return np.empty((0, self._width))
         return np.concatenate(
             [*self._blocks[:-1], self._blocks[-1][: self._used]]
         )
@@ -56,12 +53,10 @@ class _Log:
     def __init__(self, width, num_rings, num_sensors):
         self.table = _Table(width)
         self.reason = []
-        self.scan_time = [[] for _ in range(num_rings)]
-        self.distance = [
-            _Table(num_sensors, np.float32) for _ in range(num_rings)
-        ]
-        self.reading = [_Table(num_sensors, np.int8) for _ in range(num_rings)]
+        # (time, MaskedScan) per ring; taken apart when the run is over.
+        self.scans = [[] for _ in range(num_rings)]
         self.sequence = [-1] * num_rings
+        self.last_ring_states = None
         self.last_separation = None
         self.last_dsi = None
         self.held = None
@@ -115,6 +110,31 @@ def pack_safety(separation: Separation, dsi: SafetyIndex) -> np.ndarray:
             dsi.dsi_R,
         )
     )
+
+
+def _unpack_scans(scans, num_sensors):
+    """Returns the table of one ring's scans, as `Samples.scan` has it."""
+    shape = (len(scans), num_sensors)
+    distance = np.empty(shape, dtype=np.float32)
+    reading = np.empty(shape, dtype=np.int8)
+    for i, (_, scan) in enumerate(scans):
+        distance[i] = scan.scan.distance
+        reading[i] = scan.reading
+    distance[reading == Reading.CLEAR] = np.inf
+    distance[reading == Reading.FAULTED] = np.nan
+    return {
+        "time": np.array([time for time, _ in scans]),
+        "distance": distance,
+        "reading": reading,
+    }
+
+
+def _repeat_reasons(reasons, rows):
+    """Returns a column from (number of rows so far, reason) pairs."""
+    column = np.empty(rows, dtype=object)
+    for start, reason in reasons:
+        column[start - 1 :] = reason
+    return column
 
 
 class SampleRecorder(LeafSystem):
@@ -254,26 +274,24 @@ class SampleRecorder(LeafSystem):
         row[plain] = self._speed_fraction_port.Eval(context)[0]
         row[plain + 1] = self._robot_state_port.Eval(context)[0]
         row[plain + 2] = self._products_port.Eval(context)[0]
-        row[self._state : self._truth] = self._ring_states_port.Eval(context)
+        ring_states = self._ring_states_port.Eval(context)
+        row[self._state : self._truth] = ring_states
         row[self._truth : self._held] = self._truth_port.Eval(context)
         row[self._held :] = log.held
-        log.reason.append(self._reason_port.Eval(context))
+        # Words cost more than numbers: one reason per change of state.
+        ring_states = ring_states.tolist()
+        if ring_states != log.last_ring_states:
+            log.last_ring_states = ring_states
+            log.reason.append((len(log.table), self._reason_port.Eval(context)))
 
     def _record_scans(self, context, log, sequence):
-        """Appends the scans that the new separation was made from."""
+        """Keeps the scans that the new separation was made from."""
         for i, port in enumerate(self._scan_ports):
-            if sequence[i] == log.sequence[i]:
-                continue
-            log.sequence[i] = sequence[i]
-            scan = port.Eval(context)
-            if scan.scan.sequence < 0:
-                continue
-            log.scan_time[i].append(context.get_time())
-            distance = log.distance[i].append()
-            distance[:] = scan.scan.distance
-            distance[scan.reading == Reading.CLEAR] = np.inf
-            distance[scan.reading == Reading.FAULTED] = np.nan
-            log.reading[i].append()[:] = scan.reading
+            if sequence[i] != log.sequence[i]:
+                log.sequence[i] = sequence[i]
+                scan = port.Eval(context)
+                if scan.scan.sequence >= 0:
+                    log.scans[i].append((context.get_time(), scan))
 
     def make_samples(self, root_context) -> Samples:
         """Returns what was recorded so far.
@@ -322,16 +340,12 @@ class SampleRecorder(LeafSystem):
                 insert(f"{part}_{axis}", values)
         insert("person_x", truth[:, layout.person.start])
         insert("person_y", truth[:, layout.person.start + 1])
-        column["reason"] = np.array(log.reason, dtype=object)
+        column["reason"] = _repeat_reasons(log.reason, len(log.table))
         scan = {}
         if self._num_sensors:
             scan = {
-                ring: {
-                    "time": np.array(log.scan_time[i]),
-                    "distance": log.distance[i].to_array(),
-                    "reading": log.reading[i].to_array(),
-                }
-                for i, ring in enumerate(self._rings)
+                ring: _unpack_scans(scans, self._num_sensors)
+                for ring, scans in zip(self._rings, log.scans, strict=True)
             }
         ordered = {name: column.pop(name) for name in self._order}
         return Samples(

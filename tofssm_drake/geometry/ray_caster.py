@@ -13,11 +13,13 @@ import numpy as np
 from pydrake.geometry import (
     Box,
     Capsule,
+    Convex,
     Cylinder,
     Ellipsoid,
     FrameId,
     GeometryId,
     HalfSpace,
+    Mesh,
     QueryObject,
     Role,
     SceneGraphInspector,
@@ -27,8 +29,12 @@ from pydrake.math import RigidTransform
 
 from tofssm_drake.errors import UserError
 from tofssm_drake.geometry import ray_kernels
+from tofssm_drake.geometry.triangle_mesh import describe_mesh_source, read_mesh
 
 _UNIT_TOLERANCE = 1e-6
+# Rays that are checked together against bounding spheres, at most.
+_GROUP_SIZE = 32
+_IDENTITY = np.eye(3, 4)
 
 
 @dc.dataclass(frozen=True, eq=False, kw_only=True)
@@ -52,6 +58,7 @@ class RayBundles:
     """Whether a bundle is cast against a geometry, shape (m, geometries)."""
     _packed: np.ndarray = dc.field(repr=False)
     _fan: np.ndarray = dc.field(repr=False)
+    _cones: np.ndarray = dc.field(repr=False)
 
 
 class RayCaster:
@@ -70,7 +77,12 @@ class RayCaster:
       - Of several shapes at the same distance the first in `geometry_ids` is
         reported.
 
-    Supported are Sphere, Ellipsoid, Capsule, Cylinder, Box and HalfSpace.
+    Supported are Sphere, Ellipsoid, Capsule, Cylinder, Box, HalfSpace, Convex
+    and Mesh (.obj, .gltf and tetrahedral .vtk, from files or memory). A Convex
+    is the convex hull of its vertices. A Mesh is its triangles, whereas most
+    of Drake's distance queries see its hull; it has an inside if its surface
+    is closed, else rays see the surface alone, from both sides. A ray that
+    runs exactly within a triangle's plane does not see this triangle.
     """
 
     def __init__(
@@ -112,13 +124,26 @@ class RayCaster:
         self._world_row = -1
 
         n = len(self._geometry_ids)
-        self._shape_int = np.zeros((n, ray_kernels.SHAPE_INTS), dtype=np.int64)
-        self._shape_float = np.zeros((n, ray_kernels.SHAPE_FLOATS))
+        shapes = np.zeros((n, ray_kernels.SHAPE_COLUMNS))
+        self._descriptions = []
+        pool = _Pool()
         for i, geometry_id in enumerate(self._geometry_ids):
-            kind, floats = _read_geometry(inspector, geometry_id)
+            shape, description = _describe_geometry(inspector, geometry_id)
+            name = inspector.GetName(geometry_id)
+            kind, size, data, p_GC, radius = pool.add(shape, name)
+            X_FG = inspector.GetPoseInFrame(geometry_id)
             frame = self._find_frame(inspector.GetFrameId(geometry_id))
-            self._shape_int[i] = (kind, frame)
-            self._shape_float[i] = floats
+            self._descriptions.append(description)
+            # In the order of the columns that ray_kernels names.
+            shapes[i] = np.concatenate(
+                [
+                    X_FG.GetAsMatrix34().ravel(),
+                    size,
+                    X_FG @ p_GC,
+                    [radius, kind, frame, *data],
+                ]
+            )
+        self._scene = (shapes, *pool.merge())
         self._remember_version(inspector)
 
     @property
@@ -136,9 +161,14 @@ class RayCaster:
         """The frames whose poses a query needs, in this order.
 
         Those of the geometries, the world frame included where it is used,
-        then those that `make_bundles` has added.
+        then those that `make_bundles` has added. See also `FramePoses`.
         """
         return self._frame_ids
+
+    @property
+    def world_frame_id(self) -> FrameId:
+        """The world frame, whose pose is always the identity."""
+        return self._world_frame_id
 
     def poses_from_query_object(self, query_object: QueryObject) -> np.ndarray:
         """Returns the frames' poses X_WF, shape (num_frames, 3, 4).
@@ -193,10 +223,8 @@ class RayCaster:
                     f" removed; {advice}"
                 )
             now.remove(geometry_id)
-            kind, floats = _read_geometry(inspector, geometry_id)
-            if kind != self._shape_int[i, ray_kernels.KIND] or not (
-                np.array_equal(floats, self._shape_float[i])
-            ):
+            _, description = _describe_geometry(inspector, geometry_id)
+            if description != self._descriptions[i]:
                 raise RuntimeError(
                     f"geometry '{inspector.GetName(geometry_id)}' was changed"
                     f"; {advice}"
@@ -276,6 +304,7 @@ class RayCaster:
         frame_index = np.array(
             [self._find_frame(f) for f in frame_ids], dtype=np.int64
         )
+        order, cones = _group_directions(fan_S)
         bundles = RayBundles(
             num_bundles=m,
             fan_S=fan_S,
@@ -283,8 +312,11 @@ class RayCaster:
             frame_index=frame_index,
             max_range=max_range,
             active=active,
-            _packed=np.hstack([X_FS.reshape(m, 12), max_range[:, None]]),
-            _fan=np.vstack([fan_S, _calc_cone(fan_S)]),
+            _packed=np.column_stack(
+                [X_FS.reshape(m, 12), max_range, frame_index]
+            ),
+            _fan=np.column_stack([fan_S[order], order]),
+            _cones=cones,
         )
         for field in dc.fields(bundles):
             value = getattr(bundles, field.name)
@@ -313,17 +345,16 @@ class RayCaster:
             ValueError: If the bundles or poses do not fit, or a pose is not
                 finite.
         """
-        self._check_poses(X_WF)
+        X_WF = self._check_poses(X_WF)
         if bundles.active.shape[1] != len(self._geometry_ids):
             raise ValueError("bundles: made by another RayCaster")
         status, distance, index = ray_kernels.cast_bundles(
             X_WF,
-            self._shape_int,
-            self._shape_float,
-            bundles.frame_index,
+            self._scene,
             bundles._packed,
             bundles.active,
             bundles._fan,
+            bundles._cones,
         )
         if status != ray_kernels.OK:
             raise ValueError("X_WF: a pose is not finite")
@@ -357,12 +388,11 @@ class RayCaster:
             RuntimeError: See `poses_from_query_object`.
         """
         if isinstance(poses, np.ndarray):
-            X_WF = poses
-            self._check_poses(X_WF)
+            X_WF = self._check_poses(poses)
         else:
             X_WF = self.poses_from_query_object(poses)
-        p_WR = np.ascontiguousarray(p_WR, dtype=float)
-        n_WR = np.ascontiguousarray(n_WR, dtype=float)
+        p_WR = np.array(p_WR, dtype=float, order="C")
+        n_WR = np.array(n_WR, dtype=float, order="C")
         if p_WR.ndim != 2 or p_WR.shape[1] != 3 or p_WR.shape != n_WR.shape:
             raise ValueError(
                 f"p_WR {p_WR.shape} and n_WR {n_WR.shape}: not both (n, 3)"
@@ -376,8 +406,7 @@ class RayCaster:
                 active[index] = False
         status, distance, index = ray_kernels.cast_rays(
             X_WF,
-            self._shape_int,
-            self._shape_float,
+            self._scene,
             active,
             p_WR,
             n_WR,
@@ -391,6 +420,73 @@ class RayCaster:
                 " unit vector"
             )
         return distance, index
+
+    def calc_rays(
+        self, bundles: RayBundles, X_WF: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Returns where the rays of bundles are in the world.
+
+        Args:
+            bundles: Made by this caster.
+            X_WF: Poses of the frames, shape (num_frames, 3, 4).
+
+        Returns:
+            (p_WR, n_WR): origins and unit directions, both (m, k, 3).
+        """
+        X_WF = self._check_poses(X_WF)
+        R_WF = X_WF[bundles.frame_index, :, :3]
+        R_WS = R_WF @ bundles.X_FS[:, :, :3]
+        p_WS = X_WF[bundles.frame_index, :, 3] + np.einsum(
+            "mij,mj->mi", R_WF, bundles.X_FS[:, :, 3]
+        )
+        n_WR = np.einsum("mij,kj->mki", R_WS, bundles.fan_S)
+        return np.broadcast_to(p_WS[:, None], n_WR.shape), n_WR
+
+    def calc_normals(
+        self,
+        X_WF: np.ndarray,
+        p_WR: np.ndarray,
+        n_WR: np.ndarray,
+        distance: np.ndarray,
+        geometry_index: np.ndarray,
+    ) -> np.ndarray:
+        """Returns the surface's normals where rays have hit.
+
+        Args:
+            X_WF: Poses of the frames, as the rays were cast with.
+            p_WR: Origins of the rays, shape (..., 3).
+            n_WR: Their unit directions, shape (..., 3); for bundles, see
+                `calc_rays`.
+            distance: What the cast has returned, shape (...).
+            geometry_index: Likewise.
+
+        Returns:
+            Outward unit normals in the world, shape (..., 3), which face the
+            rays; NaN where there is no hit or the ray starts inside.
+
+        Raises:
+            ValueError: If shapes of arrays do not fit.
+        """
+        X_WF = self._check_poses(X_WF)
+        shape = np.shape(distance)
+        if not (
+            np.shape(geometry_index) == shape
+            and np.shape(p_WR) == np.shape(n_WR) == (*shape, 3)
+        ):
+            raise ValueError(
+                f"p_WR {np.shape(p_WR)}, n_WR {np.shape(n_WR)}, distance"
+                f" {shape}, geometry_index {np.shape(geometry_index)}: do not"
+                " belong together"
+            )
+        normals = ray_kernels.calc_normals(
+            X_WF,
+            self._scene,
+            np.array(p_WR, dtype=float).reshape(-1, 3),
+            np.array(n_WR, dtype=float).reshape(-1, 3),
+            np.array(distance, dtype=float).reshape(-1),
+            np.array(geometry_index, dtype=np.int64).reshape(-1),
+        )
+        return normals.reshape(*shape, 3)
 
     def _remember_version(self, inspector: SceneGraphInspector) -> None:
         self._version = copy.copy(inspector.geometry_version())
@@ -409,15 +505,17 @@ class RayCaster:
                 self._posed_frame_ids.append(frame_id)
         return row
 
-    def _check_poses(self, X_WF: np.ndarray) -> None:
+    def _check_poses(self, X_WF: np.ndarray) -> np.ndarray:
+        """Returns the poses as the kernels are compiled for."""
         if X_WF.shape != (len(self._frame_ids), 3, 4):
             raise ValueError(
                 f"X_WF: shape {X_WF.shape} is not"
                 f" ({len(self._frame_ids)}, 3, 4)"
             )
-
-
-_IDENTITY = np.eye(3, 4)
+        flags = X_WF.flags
+        if flags.c_contiguous and flags.writeable and X_WF.dtype == float:
+            return X_WF
+        return np.array(X_WF, dtype=float, order="C")
 
 
 def _name(role: Role) -> str:
@@ -435,64 +533,167 @@ def _make_unit_vectors(where: str, vectors: np.ndarray) -> np.ndarray:
     return vectors / length
 
 
-def _calc_cone(fan_S: np.ndarray) -> np.ndarray:
-    """Returns axis and (cos, sin, 0) of a cone around directions, (2, 3)."""
-    axis = fan_S.mean(axis=0)
+def _group_directions(fan_S: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Sorts directions into narrow groups.
+
+    Returns:
+        (order, cones): which direction comes where, shape (k,), and a cone
+        around all, then one around each group: axis, cosine and sine of half
+        the opening angle, where the group begins, and where the next one
+        does; shape (1 + groups, 7).
+    """
+    order = np.arange(len(fan_S))
+    cones = [[*_calc_cone(fan_S), 0, len(fan_S)]]
+    pending = [(0, len(fan_S))]
+    while pending:
+        first, last = pending.pop()
+        directions = fan_S[order[first:last]]
+        if last - first <= _GROUP_SIZE:
+            cones.append([*_calc_cone(directions), first, last])
+            continue
+        axis = np.argmax(np.ptp(directions, axis=0))
+        places = np.argsort(directions[:, axis], kind="stable")
+        order[first:last] = order[first:last][places]
+        middle = (first + last) // 2
+        pending += [(middle, last), (first, middle)]
+    return order, np.array(cones, dtype=float)
+
+
+def _calc_cone(directions: np.ndarray) -> list[float]:
+    """Returns axis, cos and sin of half the angle of a cone around them."""
+    axis = directions.mean(axis=0)
     length = np.linalg.norm(axis)
     if length < 1e-3:
         # Spread all around: no cone narrower than everything.
-        return np.array([[1.0, 0.0, 0.0], [-1.0, 0.0, 0.0]])
+        return [1.0, 0.0, 0.0, -1.0, 0.0]
     axis = axis / length
     # The sine from the cross product: near 0 the cosine has no digits left.
-    sin = np.linalg.norm(np.cross(fan_S, axis), axis=1)
-    angle = np.arctan2(sin, fan_S @ axis).max()
-    return np.array([axis, [np.cos(angle), np.sin(angle), 0.0]])
+    sin = np.linalg.norm(np.cross(directions, axis), axis=1)
+    angle = np.arctan2(sin, directions @ axis).max()
+    return [*axis, np.cos(angle), np.sin(angle)]
 
 
-def _read_geometry(
-    inspector: SceneGraphInspector, geometry_id: GeometryId
-) -> tuple[int, np.ndarray]:
-    """Returns a geometry's kind and its row of shape_float."""
-    name = inspector.GetName(geometry_id)
+def _describe_geometry(inspector: SceneGraphInspector, geometry_id):
+    """Returns a geometry's shape and a text that tells it from others."""
     if inspector.IsDeformableGeometry(geometry_id):
         raise UserError(
-            f"geometry '{name}': a deformable geometry can not be seen by"
-            " rays; leave it out"
+            f"geometry '{inspector.GetName(geometry_id)}': a deformable"
+            " geometry can not be seen by rays; leave it out"
         )
-    kind, size, p_GC, radius = _describe_shape(
-        inspector.GetShape(geometry_id), name
-    )
-    X_FG = inspector.GetPoseInFrame(geometry_id)
-    return kind, np.concatenate(
-        [X_FG.GetAsMatrix34().ravel(), size, X_FG @ p_GC, [radius]]
-    )
+    shape = inspector.GetShape(geometry_id)
+    pose = inspector.GetPoseInFrame(geometry_id).GetAsMatrix34()
+    is_mesh = isinstance(shape, Convex | Mesh)
+    source = describe_mesh_source(shape) if is_mesh else repr(shape)
+    kind = type(shape).__name__
+    return shape, f"{kind} {source} {pose.tobytes().hex()}"
 
 
-def _describe_shape(shape, name: str):
-    """Returns (kind, sizes, centre p_GC and radius of a bounding sphere)."""
-    origin = np.zeros(3)
-    if isinstance(shape, Sphere):
-        radius = shape.radius()
-        return ray_kernels.SPHERE, [radius, 0.0, 0.0], origin, radius
-    if isinstance(shape, Capsule):
-        radius, half = shape.radius(), 0.5 * shape.length()
-        return ray_kernels.CAPSULE, [radius, half, 0.0], origin, radius + half
-    if isinstance(shape, Cylinder):
-        radius, half = shape.radius(), 0.5 * shape.length()
-        return (
-            ray_kernels.CYLINDER,
-            [radius, half, 0.0],
-            origin,
-            np.hypot(radius, half),
+class _Pool:
+    """Collects the planes of polytopes and the triangles of meshes."""
+
+    def __init__(self):
+        self._planes = [np.empty((0, 4))]
+        self._nodes = [np.empty((0, 8))]
+        self._triangles = [np.empty((0, 9))]
+        self._num_planes = self._num_nodes = self._num_triangles = 0
+        self._known = {}
+
+    def merge(self) -> tuple[np.ndarray, ...]:
+        """Returns (planes, nodes, triangles)."""
+        return tuple(
+            np.concatenate(parts)
+            for parts in (self._planes, self._nodes, self._triangles)
         )
-    if isinstance(shape, Box):
-        half = 0.5 * np.asarray(shape.size())
-        return ray_kernels.BOX, half, origin, np.linalg.norm(half)
-    if isinstance(shape, HalfSpace):
-        return ray_kernels.HALF_SPACE, [0.0, 0.0, 0.0], origin, np.inf
-    if isinstance(shape, Ellipsoid):
-        axes = [shape.a(), shape.b(), shape.c()]
-        return ray_kernels.ELLIPSOID, axes, origin, max(axes)
-    raise UserError(
-        f"geometry '{name}': a {type(shape).__name__} can not be seen by rays"
-    )
+
+    def add(self, shape, name: str):
+        """Returns (kind, sizes, data, p_GC and radius of a bounding sphere).
+
+        Args:
+            shape: Of the geometry.
+            name: Of the geometry, for messages.
+
+        Raises:
+            UserError: If it can not be cast.
+        """
+        size = np.zeros(3)
+        p_GC = np.zeros(3)
+        data = (0, 0)
+        if isinstance(shape, Sphere):
+            kind = ray_kernels.SPHERE
+            size[0] = radius = shape.radius()
+        elif isinstance(shape, Capsule):
+            kind = ray_kernels.CAPSULE
+            size[:2] = shape.radius(), 0.5 * shape.length()
+            radius = size.sum()
+        elif isinstance(shape, Cylinder):
+            kind = ray_kernels.CYLINDER
+            size[:2] = shape.radius(), 0.5 * shape.length()
+            radius = np.linalg.norm(size)
+        elif isinstance(shape, Box):
+            kind = ray_kernels.BOX
+            size[:] = 0.5 * np.asarray(shape.size())
+            radius = np.linalg.norm(size)
+        elif isinstance(shape, HalfSpace):
+            kind, radius = ray_kernels.HALF_SPACE, np.inf
+        elif isinstance(shape, Ellipsoid):
+            kind = ray_kernels.ELLIPSOID
+            size[:] = shape.a(), shape.b(), shape.c()
+            radius = size.max()
+        elif isinstance(shape, Convex | Mesh):
+            # Geometries often share a file.
+            key = type(shape), describe_mesh_source(shape)
+            if key not in self._known:
+                add = self._add_mesh
+                if isinstance(shape, Convex):
+                    add = self._add_convex
+                self._known[key] = add(shape, name)
+            kind, data, p_GC, radius = self._known[key]
+        else:
+            raise UserError(
+                f"geometry '{name}': a {type(shape).__name__} can not be seen"
+                " by rays"
+            )
+        # Rounding must not take a point of the shape out of its sphere.
+        return kind, size, data, p_GC, radius * (1.0 + 1e-12)
+
+    def _add_mesh(self, shape: Mesh, name: str):
+        mesh = read_mesh(shape, name)
+        root = self._num_nodes
+        nodes = mesh.nodes.copy()
+        is_leaf = nodes[:, 7] > 0
+        nodes[is_leaf, 6] += self._num_triangles
+        nodes[~is_leaf, 6] += root
+        self._nodes.append(nodes)
+        self._triangles.append(mesh.triangles)
+        self._num_nodes += len(nodes)
+        self._num_triangles += len(mesh.triangles)
+        data = root, int(mesh.is_closed)
+        corners = mesh.triangles.reshape(-1, 3)
+        return ray_kernels.MESH, data, *_calc_bounding_sphere(corners)
+
+    def _add_convex(self, shape: Convex, name: str):
+        try:
+            hull = shape.GetConvexHull()
+        except RuntimeError as error:
+            reason = str(error).splitlines()[0]
+            raise UserError(
+                f"geometry '{name}': convex hull: {reason}"
+            ) from error
+        vertices = np.array(
+            [hull.vertex(i) for i in range(hull.num_vertices())]
+        )
+        planes = np.empty((hull.num_faces(), 4))
+        for i, plane in enumerate(planes):
+            face = hull.element(i)
+            corners = [face.vertex(j) for j in range(face.num_vertices())]
+            plane[:3] = hull.face_normal(i)
+            plane[3] = (vertices[corners] @ plane[:3]).max()
+        data = self._num_planes, len(planes)
+        self._planes.append(planes)
+        self._num_planes += len(planes)
+        return ray_kernels.CONVEX, data, *_calc_bounding_sphere(vertices)
+
+
+def _calc_bounding_sphere(points: np.ndarray) -> tuple[np.ndarray, float]:
+    centre = 0.5 * (points.min(axis=0) + points.max(axis=0))
+    return centre, np.linalg.norm(points - centre, axis=1).max()

@@ -5,16 +5,26 @@ shape specifications. A shape is a closed set of points: the distance along a
 ray is the smallest t >= 0 with p + t d in the shape, hence 0 for an origin
 that is inside or on the surface.
 
-The scene is handed over in a few arrays, since each one costs a fraction of
-a microsecond on the way into compiled code. For the n shapes:
+The scene is handed over as the poses of its f frames, X_WF (f, 3, 4), and a
+tuple of a few tables, since each array costs a fraction of a microsecond on
+the way into compiled code; whole numbers are therefore kept as floats, too:
 
-  shape_int   (n, 2)   kind, row of the shape's frame in X_WF
-  shape_float (n, 19)  X_FG row by row (12), sizes (3), centre p_FC of the
-                       bounding sphere (3), its radius
+  shapes     (n, 23)  one row for each shape, see the columns below
+  planes     (., 4)   (n, h) of all polytopes: the points with n.x <= h
+  nodes      (., 8)   of all meshes, see TriangleMesh
+  triangles  (., 9)   of all meshes, see TriangleMesh
 """
 
 from numba import njit
 import numpy as np
+
+from tofssm_drake.geometry.mesh_kernels import (
+    STACK,
+    cast_convex,
+    cast_mesh,
+    is_inside_convex,
+    is_inside_mesh,
+)
 
 SPHERE = 0
 """Sizes: radius, -, -."""
@@ -28,18 +38,42 @@ HALF_SPACE = 4
 """The points with z <= 0; no sizes."""
 ELLIPSOID = 5
 """Sizes: the semi-axes a, b, c."""
+CONVEX = 6
+"""Data: first plane, number of planes."""
+MESH = 7
+"""Data: root node, whether it is closed."""
 
-KIND, FRAME = 0, 1
-SHAPE_INTS = 2
-SIZE, CENTRE, RADIUS = 12, 15, 18
-SHAPE_FLOATS = 19
+POSE = 0
+"""Columns of shapes: X_FG row by row (12)."""
+SIZE = 12
+"""Sizes, according to the kind (3)."""
+CENTRE = 15
+"""Centre p_FC of the bounding sphere (3)."""
+RADIUS = 18
+"""Its radius."""
+KIND = 19
+"""What it is."""
+FRAME = 20
+"""Row of its frame in X_WF."""
+DATA = 21
+"""Where the data of a polytope or mesh are (2)."""
+SHAPE_COLUMNS = 23
+
+BUNDLE_RANGE = 12
+"""Columns of bundles: X_FS row by row (12), the range."""
+BUNDLE_FRAME = 13
+"""Row of its frame in X_WF."""
+BUNDLE_COLUMNS = 14
 
 OK = 0
 BAD_POSE = 1
 BAD_RAY = 2
 
+# Rounding must not drop a shape that is only touched.
+_MARGIN = 1e-9
 
-@njit(cache=True, error_model="numpy")
+
+@njit(cache=True, error_model="numpy", forceinline=True)
 def _enter_circle(along, across, radius):
     """Returns how far a unit ray goes to a circle or sphere, inf for a miss.
 
@@ -58,7 +92,7 @@ def _enter_circle(along, across, radius):
     return along - np.sqrt(rest)
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", forceinline=True)
 def _cast_sphere(px, py, pz, dx, dy, dz, radius):
     along = -(px * dx + py * dy + pz * dz)
     if along < 0.0:
@@ -68,7 +102,7 @@ def _cast_sphere(px, py, pz, dx, dy, dz, radius):
     return max(_enter_circle(along, across, radius), 0.0)
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", forceinline=True)
 def _cast_ellipsoid(px, py, pz, dx, dy, dz, a, b, c):
     # Scaled to the unit sphere; the direction then is no longer a unit.
     ex, ey, ez = dx / a, dy / b, dz / c
@@ -81,7 +115,7 @@ def _cast_ellipsoid(px, py, pz, dx, dy, dz, a, b, c):
     )
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", forceinline=True)
 def _cast_capsule(px, py, pz, dx, dy, dz, radius, half):
     slope = np.sqrt(dx * dx + dy * dy)
     if slope > 0.0:
@@ -103,7 +137,7 @@ def _cast_capsule(px, py, pz, dx, dy, dz, radius, half):
     return _cast_sphere(px, py, pz - end, dx, dy, dz, radius)
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", forceinline=True)
 def _clip_slab(p, d, half, enter, leave):
     """Clips the interval [enter, leave] of a ray to |p + t d| <= half."""
     if d == 0.0:
@@ -119,7 +153,7 @@ def _clip_slab(p, d, half, enter, leave):
     )
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", forceinline=True)
 def _cast_cylinder(px, py, pz, dx, dy, dz, radius, half):
     enter, leave = _clip_slab(pz, dz, half, 0.0, np.inf)
     slope = np.sqrt(dx * dx + dy * dy)
@@ -136,7 +170,7 @@ def _cast_cylinder(px, py, pz, dx, dy, dz, radius, half):
     return enter if enter <= leave else np.inf
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", forceinline=True)
 def _cast_box(px, py, pz, dx, dy, dz, hx, hy, hz):
     enter, leave = _clip_slab(px, dx, hx, 0.0, np.inf)
     enter, leave = _clip_slab(py, dy, hy, enter, leave)
@@ -144,33 +178,31 @@ def _cast_box(px, py, pz, dx, dy, dz, hx, hy, hz):
     return enter if enter <= leave else np.inf
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", forceinline=True)
 def _cast_half_space(pz, dz):
     return -pz / dz if dz < 0.0 else np.inf
 
 
-@njit(cache=True, error_model="numpy")
-def _is_inside(kind, px, py, pz, a, b, c):
+@njit(cache=True, error_model="numpy", forceinline=True)
+def _is_in_primitive(kind, x, y, z, a, b, c):
     """Returns whether a point in G is inside a shape or on its surface."""
     if kind == SPHERE:
-        return np.sqrt(px * px + py * py + pz * pz) <= a
+        return np.sqrt(x * x + y * y + z * z) <= a
     if kind == CAPSULE:
-        z = max(abs(pz) - b, 0.0)
-        return np.sqrt(px * px + py * py + z * z) <= a
+        z = max(abs(z) - b, 0.0)
+        return np.sqrt(x * x + y * y + z * z) <= a
     if kind == CYLINDER:
-        return abs(pz) <= b and np.sqrt(px * px + py * py) <= a
+        return abs(z) <= b and np.sqrt(x * x + y * y) <= a
     if kind == BOX:
-        return abs(px) <= a and abs(py) <= b and abs(pz) <= c
+        return abs(x) <= a and abs(y) <= b and abs(z) <= c
     if kind == HALF_SPACE:
-        return pz <= 0.0
-    if kind == ELLIPSOID:
-        x, y, z = px / a, py / b, pz / c
-        return np.sqrt(x * x + y * y + z * z) <= 1.0
-    return False
+        return z <= 0.0
+    x, y, z = x / a, y / b, z / c
+    return np.sqrt(x * x + y * y + z * z) <= 1.0
 
 
-@njit(cache=True, error_model="numpy")
-def _cast_shape(kind, px, py, pz, dx, dy, dz, a, b, c):
+@njit(cache=True, error_model="numpy", forceinline=True)
+def _cast_primitive(kind, px, py, pz, dx, dy, dz, a, b, c):
     """Returns the distance along a ray that starts outside, inf: miss."""
     if kind == SPHERE:
         return _cast_sphere(px, py, pz, dx, dy, dz, a)
@@ -185,7 +217,7 @@ def _cast_shape(kind, px, py, pz, dx, dy, dz, a, b, c):
     return _cast_ellipsoid(px, py, pz, dx, dy, dz, a, b, c)
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", forceinline=True)
 def _compose(X_AB, X_BC, X_AC):
     """Writes X_AC = X_AB X_BC; X_BC has twelve numbers, row by row."""
     for i in range(3):
@@ -199,16 +231,21 @@ def _compose(X_AB, X_BC, X_AC):
 
 
 @njit(cache=True, error_model="numpy")
-def _calc_centres(X_WF, shape_int, shape_float):
-    """Returns the centres of the bounding spheres in the world, (n, 3)."""
-    p_WC = np.empty((shape_int.shape[0], 3))
-    for s in range(shape_int.shape[0]):
-        X = X_WF[shape_int[s, FRAME]]
-        x = shape_float[s, CENTRE]
-        y = shape_float[s, CENTRE + 1]
-        z = shape_float[s, CENTRE + 2]
+def _calc_centres(X_WF, shapes):
+    """Returns the centres of the bounding spheres in the world, (3, n)."""
+    p_WC = np.empty((3, shapes.shape[0]))
+    for s in range(shapes.shape[0]):
+        f = int(shapes[s, FRAME])
+        x = shapes[s, CENTRE]
+        y = shapes[s, CENTRE + 1]
+        z = shapes[s, CENTRE + 2]
         for i in range(3):
-            p_WC[s, i] = X[i, 0] * x + X[i, 1] * y + X[i, 2] * z + X[i, 3]
+            p_WC[i, s] = (
+                X_WF[f, i, 0] * x
+                + X_WF[f, i, 1] * y
+                + X_WF[f, i, 2] * z
+                + X_WF[f, i, 3]
+            )
     return p_WC
 
 
@@ -223,168 +260,283 @@ def _are_finite(X_WF):
     return total == 0.0
 
 
-@njit(cache=True, error_model="numpy")
-def _cone_misses(vx, vy, vz, ax, ay, az, cos, sin, radius, reach):
+@njit(cache=True, error_model="numpy", forceinline=True)
+def _cone_misses(along, gap2, radius, cos, sin):
     """Returns whether a ball is clear of a cone of rays.
 
-    (vx, vy, vz) is the centre of the ball from the tip of the cone, (ax, ay,
-    az) the unit vector of the cone's axis, (cos, sin) of half its opening
-    angle; cos <= 0 means any direction. A ball of radius inf is never clear.
-    The rays have the length `reach`.
+    Without a square root, as nearly all balls are clear.
+
+    Args:
+        along: How far the ball's centre is along the axis, from the tip.
+        gap2: Squared distance of the centre from the tip, which is outside
+            of the ball.
+        radius: Radius of the ball.
+        cos: Cosine of half the opening angle; 0 or less: any direction.
+        sin: Its sine.
     """
-    gap2 = vx * vx + vy * vy + vz * vz
-    if gap2 <= radius * radius:
-        return False
-    gap = np.sqrt(gap2)
-    if gap - radius > reach:
-        return True
     if cos <= 0.0:
         return False
-    along = vx * ax + vy * ay + vz * az
-    across = np.sqrt(max(gap2 - along * along, 0.0))
-    # Distance from the cone's edge; nearest the tip it is the whole gap.
-    if along * cos + across * sin <= 0.0:
+    across2 = gap2 - along * along
+    # Whether the tip is the cone's point nearest to the ball.
+    if along < 0.0 and across2 * (sin * sin) <= along * along * (cos * cos):
         return True
-    # Rounding must not drop a grazing shape.
-    return across * cos - along * sin > radius + 1e-9 * gap
+    # The ball touches the edge of the cone: across cos = radius + along sin.
+    rest = radius + along * sin
+    return rest < 0.0 or (
+        across2 * (cos * cos) > rest * rest + _MARGIN * (gap2 + rest * rest)
+    )
 
 
 @njit(cache=True, error_model="numpy")
-def cast_bundles(
-    X_WF,
-    shape_int,
-    shape_float,
-    bundle_frame,
-    bundle_float,
-    active,
-    fan,
-):
+def _pose_bundle(shapes, s, X_WF, X_WS, X_WG, p_GS, R_GS, q):
+    """Writes origin and rotation of a bundle in shape s to row q."""
+    _compose(X_WF[int(shapes[s, FRAME])], shapes[s], X_WG)
+    x = X_WS[0, 3] - X_WG[0, 3]
+    y = X_WS[1, 3] - X_WG[1, 3]
+    z = X_WS[2, 3] - X_WG[2, 3]
+    for i in range(3):
+        p_GS[q, i] = X_WG[0, i] * x + X_WG[1, i] * y + X_WG[2, i] * z
+        for j in range(3):
+            R_GS[q, i, j] = (
+                X_WG[0, i] * X_WS[0, j]
+                + X_WG[1, i] * X_WS[1, j]
+                + X_WG[2, i] * X_WS[2, j]
+            )
+
+
+@njit(cache=True, error_model="numpy")
+def cast_bundles(X_WF, scene, bundles, active, fan, cones):
     """Casts m bundles of k rays each; see RayCaster.cast_bundles.
 
     Args:
-        X_WF: Poses of the frames, shape (f, 3, 4).
-        shape_int: See the module.
-        shape_float: See the module.
-        bundle_frame: Row of each bundle's frame in X_WF, shape (m,).
-        bundle_float: X_FS row by row and the range, shape (m, 13).
+        X_WF: See the module.
+        scene: See the module.
+        bundles: See the columns above, shape (m, 14).
         active: Whether bundle i is cast against shape s, bool, (m, n).
-        fan: Unit directions in S, shape (k, 3), then, as two more rows, the
-            axis of their cone and its (cos, sin, 0).
+        fan: Unit directions in S, sorted into groups, and the place of each
+            ray in the results, shape (k, 4).
+        cones: Axis, cosine and sine of half the opening angle of a cone
+            around all rays, then of one around each group of rays, with the
+            first ray and the one behind the last, shape (1 + groups, 7).
 
     Returns:
         (status, distance (m, k), index (m, k)).
     """
-    m = bundle_frame.shape[0]
-    n = shape_int.shape[0]
-    k = fan.shape[0] - 2
+    shapes, planes, nodes, triangles = scene
+    m, n, k = bundles.shape[0], shapes.shape[0], fan.shape[0]
+    groups = cones.shape[0] - 1
     distance = np.empty((m, k))
-    index = np.full((m, k), -1, dtype=np.int64)
+    index = np.empty((m, k), dtype=np.int64)
     if not _are_finite(X_WF):
         return BAD_POSE, distance, index
-    p_WC = _calc_centres(X_WF, shape_int, shape_float)
+    p_WC = _calc_centres(X_WF, shapes)
     X_WS = np.empty((3, 4))
     X_WG = np.empty((3, 4))
-    R = np.empty((3, 3))
-    axis = fan[k]
-    cos, sin = fan[k + 1, 0], fan[k + 1, 1]
+    # Of the bundle's rays, sorted: the nearest hit so far.
+    best = np.empty(k)
+    hit = np.empty(k, dtype=np.int64)
+    # Of the shapes that the bundle may see: number; squared distance of the
+    # centre; centre in S; the least that a ray which hits goes towards it.
+    near_shape = np.empty(n, dtype=np.int64)
+    near_gap2 = np.empty(n)
+    near_centre = np.empty((n, 3))
+    near_tangent = np.empty(n)
+    # Not posed yet (0), or the origin is outside (1) or inside (2).
+    near_state = np.empty(n, dtype=np.int64)
+    p_GS = np.empty((n, 3))
+    R_GS = np.empty((n, 3, 3))
+    stack = np.empty((2, STACK))
     for i in range(m):
-        _compose(X_WF[bundle_frame[i]], bundle_float[i], X_WS)
-        reach = bundle_float[i, 12]
-        # A hit at exactly the range counts, hence the next number.
-        best = distance[i]
-        best[:] = np.nextafter(reach, np.inf)
-        ax = X_WS[0, 0] * axis[0] + X_WS[0, 1] * axis[1] + X_WS[0, 2] * axis[2]
-        ay = X_WS[1, 0] * axis[0] + X_WS[1, 1] * axis[1] + X_WS[1, 2] * axis[2]
-        az = X_WS[2, 0] * axis[0] + X_WS[2, 1] * axis[1] + X_WS[2, 2] * axis[2]
+        _compose(X_WF[int(bundles[i, BUNDLE_FRAME])], bundles[i], X_WS)
+        reach = bundles[i, BUNDLE_RANGE]
+        ox, oy, oz = X_WS[0, 3], X_WS[1, 3], X_WS[2, 3]
+        ax, ay, az = cones[0, 0], cones[0, 1], cones[0, 2]
+        cos, sin = cones[0, 3], cones[0, 4]
+        ux = X_WS[0, 0] * ax + X_WS[0, 1] * ay + X_WS[0, 2] * az
+        uy = X_WS[1, 0] * ax + X_WS[1, 1] * ay + X_WS[1, 2] * az
+        uz = X_WS[2, 0] * ax + X_WS[2, 1] * ay + X_WS[2, 2] * az
+        near = 0
         for s in range(n):
             if not active[i, s]:
                 continue
-            if _cone_misses(
-                p_WC[s, 0] - X_WS[0, 3],
-                p_WC[s, 1] - X_WS[1, 3],
-                p_WC[s, 2] - X_WS[2, 3],
-                ax,
-                ay,
-                az,
-                cos,
-                sin,
-                shape_float[s, RADIUS],
-                reach,
-            ):
-                continue
-            _compose(X_WF[shape_int[s, FRAME]], shape_float[s], X_WG)
-            vx = X_WS[0, 3] - X_WG[0, 3]
-            vy = X_WS[1, 3] - X_WG[1, 3]
-            vz = X_WS[2, 3] - X_WG[2, 3]
-            px = X_WG[0, 0] * vx + X_WG[1, 0] * vy + X_WG[2, 0] * vz
-            py = X_WG[0, 1] * vx + X_WG[1, 1] * vy + X_WG[2, 1] * vz
-            pz = X_WG[0, 2] * vx + X_WG[1, 2] * vy + X_WG[2, 2] * vz
-            kind = shape_int[s, KIND]
-            a = shape_float[s, SIZE]
-            b = shape_float[s, SIZE + 1]
-            c = shape_float[s, SIZE + 2]
-            if _is_inside(kind, px, py, pz, a, b, c):
-                for j in range(k):
-                    if best[j] > 0.0:
-                        best[j] = 0.0
-                        index[i, j] = s
-                continue
-            for row in range(3):
-                for col in range(3):
-                    R[row, col] = (
-                        X_WG[0, row] * X_WS[0, col]
-                        + X_WG[1, row] * X_WS[1, col]
-                        + X_WG[2, row] * X_WS[2, col]
-                    )
-            for j in range(k):
-                fx, fy, fz = fan[j, 0], fan[j, 1], fan[j, 2]
-                t = _cast_shape(
-                    kind,
-                    px,
-                    py,
-                    pz,
-                    R[0, 0] * fx + R[0, 1] * fy + R[0, 2] * fz,
-                    R[1, 0] * fx + R[1, 1] * fy + R[1, 2] * fz,
-                    R[2, 0] * fx + R[2, 1] * fy + R[2, 2] * fz,
-                    a,
-                    b,
-                    c,
+            x, y, z = p_WC[0, s] - ox, p_WC[1, s] - oy, p_WC[2, s] - oz
+            gap2 = x * x + y * y + z * z
+            radius = shapes[s, RADIUS]
+            if gap2 > radius * radius:
+                if gap2 > (reach + radius) * (reach + radius) or _cone_misses(
+                    x * ux + y * uy + z * uz, gap2, radius, cos, sin
+                ):
+                    continue
+                near_tangent[near] = np.sqrt(
+                    gap2 - radius * radius
+                ) - _MARGIN * np.sqrt(gap2)
+            else:
+                near_tangent[near] = -np.inf
+            near_shape[near] = s
+            near_gap2[near] = gap2
+            near_state[near] = 0
+            for j in range(3):
+                near_centre[near, j] = (
+                    X_WS[0, j] * x + X_WS[1, j] * y + X_WS[2, j] * z
                 )
-                if t < best[j]:
-                    best[j] = t
-                    index[i, j] = s
+            near += 1
+        # A hit at exactly the range counts, hence the next number.
+        best[:] = np.nextafter(reach, np.inf)
+        hit[:] = -1
+        for g in range(1, 1 + groups):
+            first, last = int(cones[g, 5]), int(cones[g, 6])
+            for q in range(near):
+                s = near_shape[q]
+                cx, cy, cz = (
+                    near_centre[q, 0],
+                    near_centre[q, 1],
+                    near_centre[q, 2],
+                )
+                tangent = near_tangent[q]
+                if (
+                    groups > 1
+                    and tangent > -np.inf
+                    and _cone_misses(
+                        cx * cones[g, 0] + cy * cones[g, 1] + cz * cones[g, 2],
+                        near_gap2[q],
+                        shapes[s, RADIUS],
+                        cones[g, 3],
+                        cones[g, 4],
+                    )
+                ):
+                    continue
+                kind = int(shapes[s, KIND])
+                a = shapes[s, SIZE]
+                b = shapes[s, SIZE + 1]
+                c = shapes[s, SIZE + 2]
+                part, parts = int(shapes[s, DATA]), int(shapes[s, DATA + 1])
+                if near_state[q] == 0:
+                    _pose_bundle(shapes, s, X_WF, X_WS, X_WG, p_GS, R_GS, q)
+                    inside = False
+                    if tangent == -np.inf:
+                        if kind == CONVEX:
+                            inside = is_inside_convex(
+                                planes, part, parts, p_GS[q]
+                            )
+                        elif kind == MESH:
+                            inside = parts == 1 and is_inside_mesh(
+                                nodes, triangles, part, p_GS[q]
+                            )
+                        else:
+                            inside = _is_in_primitive(
+                                kind,
+                                p_GS[q, 0],
+                                p_GS[q, 1],
+                                p_GS[q, 2],
+                                a,
+                                b,
+                                c,
+                            )
+                    near_state[q] = 2 if inside else 1
+                if near_state[q] == 2:
+                    for j in range(first, last):
+                        if best[j] > 0.0:
+                            best[j] = 0.0
+                            hit[j] = s
+                    continue
+                px, py, pz = p_GS[q, 0], p_GS[q, 1], p_GS[q, 2]
+                if kind == HALF_SPACE and pz > reach:
+                    continue
+                for j in range(first, last):
+                    x, y, z = fan[j, 0], fan[j, 1], fan[j, 2]
+                    if cx * x + cy * y + cz * z < tangent:
+                        continue
+                    dx = (
+                        R_GS[q, 0, 0] * x
+                        + R_GS[q, 0, 1] * y
+                        + R_GS[q, 0, 2] * z
+                    )
+                    dy = (
+                        R_GS[q, 1, 0] * x
+                        + R_GS[q, 1, 1] * y
+                        + R_GS[q, 1, 2] * z
+                    )
+                    dz = (
+                        R_GS[q, 2, 0] * x
+                        + R_GS[q, 2, 1] * y
+                        + R_GS[q, 2, 2] * z
+                    )
+                    # No function of the whole scene: handing its tables over
+                    # for each ray would cost more than the primitives do.
+                    if kind == CONVEX:
+                        t, _ = cast_convex(
+                            planes, part, parts, p_GS[q], dx, dy, dz
+                        )
+                    elif kind == MESH:
+                        t, _ = cast_mesh(
+                            nodes,
+                            triangles,
+                            part,
+                            p_GS[q],
+                            dx,
+                            dy,
+                            dz,
+                            best[j],
+                            stack,
+                        )
+                    else:
+                        t = _cast_primitive(
+                            kind, px, py, pz, dx, dy, dz, a, b, c
+                        )
+                    if t < best[j]:
+                        best[j] = t
+                        hit[j] = s
         for j in range(k):
-            if index[i, j] < 0:
-                best[j] = np.inf
+            place = int(fan[j, 3])
+            index[i, place] = hit[j]
+            distance[i, place] = best[j] if hit[j] >= 0 else np.inf
     return OK, distance, index
 
 
 @njit(cache=True, error_model="numpy")
-def cast_rays(X_WF, shape_int, shape_float, active, p_WR, n_WR, reach):
-    """Casts n_r rays, each with its own origin; see RayCaster.cast.
+def _pose_in_shape(X_WG, p_WR, p_GR):
+    """Writes a point of the world in G."""
+    x = p_WR[0] - X_WG[0, 3]
+    y = p_WR[1] - X_WG[1, 3]
+    z = p_WR[2] - X_WG[2, 3]
+    for row in range(3):
+        p_GR[row] = X_WG[0, row] * x + X_WG[1, row] * y + X_WG[2, row] * z
+
+
+@njit(cache=True, error_model="numpy")
+def cast_rays(X_WF, scene, active, p_WR, n_WR, reach):
+    """Casts rays, each with its own origin; see RayCaster.cast.
 
     Args:
-        X_WF: Poses of the frames, shape (f, 3, 4).
-        shape_int: See the module.
-        shape_float: See the module.
+        X_WF: See the module.
+        scene: See the module.
         active: Whether shape s is cast against, bool, shape (n,).
-        p_WR: Origins, shape (n_r, 3).
-        n_WR: Directions, shape (n_r, 3), unit vectors to 1e-6.
+        p_WR: Origins, shape (rays, 3).
+        n_WR: Directions, shape (rays, 3), unit vectors to 1e-6.
         reach: Range of all rays.
 
     Returns:
-        (status, distance (n_r,), index (n_r,)).
+        (status, distance (rays,), index (rays,)).
     """
-    rays = p_WR.shape[0]
+    shapes, planes, nodes, triangles = scene
+    rays, n = p_WR.shape[0], shapes.shape[0]
     distance = np.full(rays, np.inf)
     index = np.full(rays, -1, dtype=np.int64)
     if not _are_finite(X_WF):
         return BAD_POSE, distance, index
-    n = shape_int.shape[0]
-    p_WC = _calc_centres(X_WF, shape_int, shape_float)
+    p_WC = _calc_centres(X_WF, shapes)
     X_WG = np.empty((n, 3, 4))
+    radius2 = np.empty(n)
+    limit2 = np.empty(n)
     for s in range(n):
-        _compose(X_WF[shape_int[s, FRAME]], shape_float[s], X_WG[s])
+        _compose(X_WF[int(shapes[s, FRAME])], shapes[s], X_WG[s])
+        radius = shapes[s, RADIUS]
+        # No ball is smaller than nothing.
+        radius2[s] = radius * radius if active[s] else -np.inf
+        limit2[s] = (reach + radius) * (reach + radius)
+    p_GR = np.empty(3)
+    may_hit = np.empty(n, dtype=np.bool_)
+    stack = np.empty((2, STACK))
     limit = np.nextafter(reach, np.inf)
     for i in range(rays):
         ox, oy, oz = p_WR[i, 0], p_WR[i, 1], p_WR[i, 2]
@@ -393,49 +545,73 @@ def cast_rays(X_WF, shape_int, shape_float, active, p_WR, n_WR, reach):
         if not (abs(length - 1.0) <= 1e-6 and np.isfinite(ox + oy + oz)):
             return BAD_RAY, distance, index
         ex, ey, ez = ex / length, ey / length, ez / length
+        # Without branches, which lets the compiler use vectors.
+        for s in range(n):
+            x, y, z = p_WC[0, s] - ox, p_WC[1, s] - oy, p_WC[2, s] - oz
+            gap2 = x * x + y * y + z * z
+            along = max(x * ex + y * ey + z * ez, 0.0)
+            may_hit[s] = (
+                gap2 * (1.0 - _MARGIN) - along * along <= radius2[s]
+            ) & (gap2 <= limit2[s])
         best = limit
         hit = -1
         for s in range(n):
-            if not active[s]:
+            if not may_hit[s]:
                 continue
-            if _cone_misses(
-                p_WC[s, 0] - ox,
-                p_WC[s, 1] - oy,
-                p_WC[s, 2] - oz,
-                ex,
-                ey,
-                ez,
-                1.0,
-                0.0,
-                shape_float[s, RADIUS],
-                best,
-            ):
-                continue
-            X = X_WG[s]
-            vx, vy, vz = ox - X[0, 3], oy - X[1, 3], oz - X[2, 3]
-            px = X[0, 0] * vx + X[1, 0] * vy + X[2, 0] * vz
-            py = X[0, 1] * vx + X[1, 1] * vy + X[2, 1] * vz
-            pz = X[0, 2] * vx + X[1, 2] * vy + X[2, 2] * vz
-            kind = shape_int[s, KIND]
-            a = shape_float[s, SIZE]
-            b = shape_float[s, SIZE + 1]
-            c = shape_float[s, SIZE + 2]
-            if _is_inside(kind, px, py, pz, a, b, c):
+            x = ox - X_WG[s, 0, 3]
+            y = oy - X_WG[s, 1, 3]
+            z = oz - X_WG[s, 2, 3]
+            px = X_WG[s, 0, 0] * x + X_WG[s, 1, 0] * y + X_WG[s, 2, 0] * z
+            py = X_WG[s, 0, 1] * x + X_WG[s, 1, 1] * y + X_WG[s, 2, 1] * z
+            pz = X_WG[s, 0, 2] * x + X_WG[s, 1, 2] * y + X_WG[s, 2, 2] * z
+            dx = X_WG[s, 0, 0] * ex + X_WG[s, 1, 0] * ey + X_WG[s, 2, 0] * ez
+            dy = X_WG[s, 0, 1] * ex + X_WG[s, 1, 1] * ey + X_WG[s, 2, 1] * ez
+            dz = X_WG[s, 0, 2] * ex + X_WG[s, 1, 2] * ey + X_WG[s, 2, 2] * ez
+            x, y, z = p_WC[0, s] - ox, p_WC[1, s] - oy, p_WC[2, s] - oz
+            is_near = x * x + y * y + z * z <= radius2[s]
+            inside = False
+            t = np.inf
+            kind = int(shapes[s, KIND])
+            if kind < CONVEX:
+                a = shapes[s, SIZE]
+                b = shapes[s, SIZE + 1]
+                c = shapes[s, SIZE + 2]
+                inside = is_near and _is_in_primitive(kind, px, py, pz, a, b, c)
+                if not inside:
+                    t = _cast_primitive(kind, px, py, pz, dx, dy, dz, a, b, c)
+            else:
+                part, parts = int(shapes[s, DATA]), int(shapes[s, DATA + 1])
+                p_GR[0], p_GR[1], p_GR[2] = px, py, pz
+                if kind == CONVEX:
+                    inside = is_near and is_inside_convex(
+                        planes, part, parts, p_GR
+                    )
+                    if not inside:
+                        t, _ = cast_convex(
+                            planes, part, parts, p_GR, dx, dy, dz
+                        )
+                else:
+                    inside = (
+                        is_near
+                        and parts == 1
+                        and is_inside_mesh(nodes, triangles, part, p_GR)
+                    )
+                    if not inside:
+                        t, _ = cast_mesh(
+                            nodes,
+                            triangles,
+                            part,
+                            p_GR,
+                            dx,
+                            dy,
+                            dz,
+                            best,
+                            stack,
+                        )
+            if inside:
                 best = 0.0
                 hit = s
                 break
-            t = _cast_shape(
-                kind,
-                px,
-                py,
-                pz,
-                X[0, 0] * ex + X[1, 0] * ey + X[2, 0] * ez,
-                X[0, 1] * ex + X[1, 1] * ey + X[2, 1] * ez,
-                X[0, 2] * ex + X[1, 2] * ey + X[2, 2] * ez,
-                a,
-                b,
-                c,
-            )
             if t < best:
                 best = t
                 hit = s
@@ -443,3 +619,122 @@ def cast_rays(X_WF, shape_int, shape_float, active, p_WR, n_WR, reach):
             distance[i] = best
             index[i] = hit
     return OK, distance, index
+
+
+@njit(cache=True, error_model="numpy")
+def _write_normal(kind, a, b, c, q, dx, dy, dz, n):
+    """Writes the outward normal of a primitive at a point q of its surface.
+
+    On an edge there are several; the one that faces the ray most is taken.
+    """
+    n[:] = 0.0
+    if kind == SPHERE:
+        n[:] = q
+    elif kind == CAPSULE:
+        n[:] = q
+        n[2] -= min(max(q[2], -b), b)
+    elif kind == ELLIPSOID:
+        n[0], n[1], n[2] = q[0] / (a * a), q[1] / (b * b), q[2] / (c * c)
+    elif kind == CYLINDER:
+        tube = np.sqrt(q[0] * q[0] + q[1] * q[1])
+        side, end = tube - a, abs(q[2]) - b
+        up = 1.0 if q[2] > 0.0 else -1.0
+        is_rim = abs(side - end) < _MARGIN * (a + b)
+        if is_rim:
+            is_end = up * dz < (q[0] * dx + q[1] * dy) / tube
+        else:
+            is_end = end > side
+        if is_end:
+            n[2] = up
+        else:
+            n[0], n[1] = q[0], q[1]
+    elif kind == BOX:
+        # The largest is 0 but for rounding; the others are negative.
+        x, y, z = abs(q[0]) - a, abs(q[1]) - b, abs(q[2]) - c
+        least = max(x, max(y, z)) - _MARGIN * (a + b + c)
+        facing = np.inf
+        axis = 0
+        if x >= least and np.copysign(dx, q[0] * dx) < facing:
+            axis, facing = 0, np.copysign(dx, q[0] * dx)
+        if y >= least and np.copysign(dy, q[1] * dy) < facing:
+            axis, facing = 1, np.copysign(dy, q[1] * dy)
+        if z >= least and np.copysign(dz, q[2] * dz) < facing:
+            axis = 2
+        n[axis] = 1.0 if q[axis] > 0.0 else -1.0
+    else:
+        n[2] = 1.0
+    length = np.sqrt(n[0] * n[0] + n[1] * n[1] + n[2] * n[2])
+    for i in range(3):
+        n[i] /= length
+
+
+@njit(cache=True, error_model="numpy")
+def calc_normals(X_WF, scene, p_WR, n_WR, distance, index):
+    """Returns the surface normals at hits; see RayCaster.calc_normals.
+
+    Args:
+        X_WF: See the module.
+        scene: See the module.
+        p_WR: Origins, shape (rays, 3).
+        n_WR: Directions, shape (rays, 3).
+        distance: As cast, shape (rays,).
+        index: As cast, shape (rays,).
+
+    Returns:
+        Normals in the world, shape (rays, 3).
+    """
+    shapes, planes, nodes, triangles = scene
+    rays = p_WR.shape[0]
+    normals = np.full((rays, 3), np.nan)
+    X = np.empty((3, 4))
+    p, q, n = np.empty(3), np.empty(3), np.empty(3)
+    stack = np.empty((2, STACK))
+    for i in range(rays):
+        s = index[i]
+        t = distance[i]
+        if s < 0 or not t > 0.0:
+            continue
+        _compose(X_WF[int(shapes[s, FRAME])], shapes[s], X)
+        _pose_in_shape(X, p_WR[i], p)
+        dx = X[0, 0] * n_WR[i, 0] + X[1, 0] * n_WR[i, 1] + X[2, 0] * n_WR[i, 2]
+        dy = X[0, 1] * n_WR[i, 0] + X[1, 1] * n_WR[i, 1] + X[2, 1] * n_WR[i, 2]
+        dz = X[0, 2] * n_WR[i, 0] + X[1, 2] * n_WR[i, 1] + X[2, 2] * n_WR[i, 2]
+        kind = int(shapes[s, KIND])
+        first, last = int(shapes[s, DATA]), int(shapes[s, DATA + 1])
+        if kind == CONVEX:
+            _, part = cast_convex(planes, first, last, p, dx, dy, dz)
+            if part < 0:
+                continue
+            n[:] = planes[part, :3]
+        elif kind == MESH:
+            _, part = cast_mesh(
+                nodes, triangles, first, p, dx, dy, dz, np.inf, stack
+            )
+            if part < 0:
+                continue
+            u = triangles[part, 3:6] - triangles[part, :3]
+            v = triangles[part, 6:] - triangles[part, :3]
+            n[0] = u[1] * v[2] - u[2] * v[1]
+            n[1] = u[2] * v[0] - u[0] * v[2]
+            n[2] = u[0] * v[1] - u[1] * v[0]
+            length = np.sqrt(n[0] * n[0] + n[1] * n[1] + n[2] * n[2])
+            if n[0] * dx + n[1] * dy + n[2] * dz > 0.0:
+                length = -length
+            for j in range(3):
+                n[j] /= length
+        else:
+            q[0], q[1], q[2] = p[0] + t * dx, p[1] + t * dy, p[2] + t * dz
+            _write_normal(
+                kind,
+                shapes[s, SIZE],
+                shapes[s, SIZE + 1],
+                shapes[s, SIZE + 2],
+                q,
+                dx,
+                dy,
+                dz,
+                n,
+            )
+        for j in range(3):
+            normals[i, j] = X[j, 0] * n[0] + X[j, 1] * n[1] + X[j, 2] * n[2]
+    return normals

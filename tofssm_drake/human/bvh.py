@@ -41,6 +41,9 @@ from tofssm_drake.human.walk import (
     smooth,
 )
 
+_STOPPING_TIME = 0.08
+"""s; how fast limbs come to rest where a recording ends."""
+
 PLACEMENTS = ("in_place", "own_path", "figure_eight")
 
 
@@ -186,8 +189,8 @@ def _calc_heading(landmarks):
 def _close_loop(landmarks, dt, stature):
     """Appends a way back from the last posture to the first.
 
-    Place, heading and posture each follow a cubic that leaves and arrives
-    with the recording's own velocities; slow enough for a walk.
+    Place, heading and posture leave and arrive with the recording's own
+    velocities; slow enough for a walk.
     """
     if len(landmarks) < 2:
         return landmarks
@@ -198,34 +201,23 @@ def _close_loop(landmarks, dt, stature):
     turn = _wrap(heading[0] - heading[-1])
     duration = max(1.0, 1.5 * distance / 1.2, abs(turn) / 2.0)
     rows = max(2, round(duration / dt))
-    u = np.arange(1, rows) / rows
+    k = np.arange(1, rows)
 
-    def blend(first, second, v_first, v_second):
-        w = u.reshape(-1, *[1] * np.ndim(first))
-        span = rows
-        return (
-            (1 + 2 * w) * (1 - w) ** 2 * first
-            + w * (1 - w) ** 2 * span * v_first
-            + w**2 * (3 - 2 * w) * second
-            + w**2 * (w - 1) * span * v_second
-        )
+    def blend(values, first, second):
+        # Either end runs out with its own velocity, as a person would who
+        # stops; in between one fades into the other.
+        shape = (-1, *[1] * np.ndim(first))
+        stop = _STOPPING_TIME / dt
+        after = stop * (1.0 - np.exp(-k / stop)).reshape(shape)
+        before = stop * (1.0 - np.exp(-(rows - k) / stop)).reshape(shape)
+        weight = ease(k / rows).reshape(shape)
+        return (1 - weight) * (
+            first + after * (values[-1] - values[-2])
+        ) + weight * (second - before * (values[1] - values[0]))
 
-    # Velocities fade within a quarter of a second, as a person's would.
-    fade = min(1.0, 0.25 / (rows * dt) * 3.0)
-
-    def rate(values, a, b):
-        return fade * (values[a] - values[b])
-
-    place = blend(
-        pelvis[-1], pelvis[0], rate(pelvis, -1, -2), rate(pelvis, 1, 0)
-    )
-    angle = blend(
-        heading[-1],
-        heading[-1] + turn,
-        rate(heading, -1, -2),
-        rate(heading, 1, 0),
-    )
-    posture = blend(local[-1], local[0], rate(local, -1, -2), rate(local, 1, 0))
+    place = blend(pelvis, pelvis[-1], pelvis[0])
+    angle = blend(heading, heading[-1], heading[-1] + turn)
+    posture = blend(local, local[-1], local[0])
     back = _turn(posture, angle) + place[:, None]
     back = _restore_lengths(back, _calc_lengths(landmarks))
     sunk = np.maximum(FOOT_RADIUS * stature - calc_lowest(back), 0.0)
@@ -310,8 +302,10 @@ def find_gait(performance: Performance, dt: float) -> Gait | None:
     cycle[:, :, :2] -= cycle[:, :1, :2].mean(axis=0)
     cycle = _restore_lengths(cycle, _calc_lengths(landmarks))
     for side in ("left", "right"):
-        slip = calc_slip(landmarks, side, dt)[i:j]
-        down = _norm(slip) < DOWN * stride / ((j - i) * dt)
+        slip = _norm(calc_slip(landmarks, side, dt)[i:j])
+        # Feet that skate are still the slower the more they are down.
+        pace = stride / ((j - i) * dt)
+        down = slip < max(DOWN * pace, np.quantile(slip, 0.45))
         _settle_foot(cycle, side, down, stride, FOOT_RADIUS * stature, dt)
     return Gait(
         landmarks=cycle,

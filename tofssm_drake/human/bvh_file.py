@@ -6,7 +6,6 @@ of channel values per frame. Units, axes and joint names are not part of it;
 """
 
 import dataclasses as dc
-import math
 from pathlib import Path
 import re
 
@@ -21,6 +20,10 @@ _CHANNELS = {
 }
 _LONGEST_FRAME_TIME = 1.0
 """s; longer ones are a mistake of units."""
+
+
+_LARGEST_NUMBER = 1e9
+"""No recording in any unit has larger ones; nan and inf are none."""
 
 
 @dc.dataclass(frozen=True, eq=False, kw_only=True)
@@ -60,6 +63,13 @@ class BvhFile:
         return self.frame_time * (len(self.frames) - 1)
 
 
+def _is_number(word):
+    try:
+        return abs(float(word)) < _LARGEST_NUMBER
+    except ValueError:
+        return False
+
+
 class _Reader:
     """Walks through the lines and knows where it is."""
 
@@ -84,13 +94,9 @@ class _Reader:
         return self._parts.pop(0)
 
     def numbers(self, words, expected):
-        try:
-            values = [float(word) for word in words]
-        except ValueError:
-            values = [math.nan]
-        if not all(math.isfinite(value) for value in values):
+        if not all(_is_number(word) for word in words):
             self.fail(f"'{' '.join(words)[:60]}' should be {expected}")
-        return values
+        return [float(word) for word in words]
 
 
 def _read_hierarchy(reader):
@@ -216,8 +222,8 @@ def _read_motion(reader, columns):
             row = np.array(words, dtype=float)
         except ValueError:
             row = None
-        if row is None or not np.isfinite(row).all():
-            bad = next(word for word in words if not _is_finite(word))
+        if row is None or not (np.abs(row) < _LARGEST_NUMBER).all():
+            bad = next(word for word in words if not _is_number(word))
             reader.fail(
                 f"frame {len(rows) + 1}: '{bad[:60]}' should be a number"
             )
@@ -227,13 +233,6 @@ def _read_motion(reader, columns):
             f"the file ends after {len(rows)} of {count} frames",
         )
     return np.array(rows).reshape(count, columns), frame_time
-
-
-def _is_finite(word):
-    try:
-        return math.isfinite(float(word))
-    except ValueError:
-        return False
 
 
 def read_bvh(path: str | Path) -> BvhFile:

@@ -9,7 +9,6 @@ from tofssm_drake.human.skeleton import (
     CAPSULE_FIRST,
     CAPSULE_SECOND,
     CAPSULES,
-    JOINTS,
     calc_radii,
     complete_joints,
 )
@@ -145,11 +144,3 @@ def capsule_ends(motion: HumanMotion, t: float) -> np.ndarray:
         ends,
     )
     return ends
-
-
-def joint_positions(motion: HumanMotion, t: float) -> dict[str, np.ndarray]:
-    """Returns the table's row nearest to a time, by name; for inspection."""
-    row = round(t / motion.dt)
-    rows = len(motion.joints)
-    row = row % rows if motion.loops else min(max(row, 0), rows - 1)
-    return dict(zip(JOINTS, motion.joints[row], strict=True))

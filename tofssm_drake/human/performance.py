@@ -341,7 +341,7 @@ def make_performance(
 
     file = _drop_calibration(file)
     last = file.duration if end_time is None else end_time
-    if start_time > file.duration or last > file.duration + 1e-6:
+    if start_time > file.duration or last > file.duration + 1e-3:
         fail(
             f"the recording lasts {file.duration:.3f} s; start_time and "
             "end_time should lie within"
@@ -357,7 +357,8 @@ def make_performance(
                     f"like {_SAID_AS[role]} with {side.capitalize()} or "
                     f"{side[0].upper()}"
                 )
-    rows = math.floor((last - start_time) / dt + 1e-6) + 1
+    # Frame times are rounded in the file.
+    rows = math.floor((last - start_time) / dt + 1e-3) + 1
     times = start_time + dt * np.arange(rows)
     ankles = tuple(roles[f"{side}_ankle"] for side in ("left", "right"))
     positions, rotations = calc_positions(file, times, ankles)

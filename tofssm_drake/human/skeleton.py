@@ -86,7 +86,6 @@ LANDMARK_INDEX = {name: i for i, name in enumerate(LANDMARKS)}
 JOINT_INDEX = {name: i for i, name in enumerate(JOINTS)}
 
 HIP_HEIGHT = 0.530
-KNEE_HEIGHT = 0.285
 ANKLE_HEIGHT = 0.039
 SHOULDER_HEIGHT = 0.818
 HALF_SHOULDER_BREADTH = 0.129
@@ -130,7 +129,6 @@ class Capsule:
 
 COLOURS = {
     "skin": (0.87, 0.68, 0.56, 1.0),
-    "hair": (0.87, 0.68, 0.56, 1.0),
     "shirt": (0.95, 0.48, 0.10, 1.0),
     "trousers": (0.18, 0.23, 0.34, 1.0),
     "shoe": (0.12, 0.12, 0.13, 1.0),
@@ -160,7 +158,7 @@ def _make_capsules() -> tuple[Capsule, ...]:
         capsule("head", "head_low", "head_high", HEAD_RADIUS, "skin"),
         capsule("neck", "neck", "head", 0.033, "skin"),
         *both_sides("collar", "neck", "*_shoulder", 0.033, "shirt"),
-        *both_sides("chest", "*_lower_rib", "*_upper_rib", 0.056, "shirt"),
+        *both_sides("chest", "*_lower_rib", "*_upper_rib", 0.062, "shirt"),
         capsule("abdomen", "left_belly", "right_belly", 0.056, "shirt"),
         capsule("pelvis", "left_pelvis", "right_pelvis", 0.056, "trousers"),
         *both_sides("upper_arm", "*_shoulder", "*_elbow", 0.028, "shirt"),
@@ -268,7 +266,7 @@ def complete_joints(landmarks: np.ndarray, stature: float) -> np.ndarray:
                 f"{side}_{name}",
                 point["neck"],
                 R_chest,
-                [0.004, sign * 0.040, offset],
+                [0.002, sign * 0.030, offset],
             )
     axis = normalize(point["head_top"] - point["head"])
     for name, depth in (

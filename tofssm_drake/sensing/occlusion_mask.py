@@ -11,17 +11,27 @@ import numpy as np
 from pydrake.common.value import Value
 from pydrake.geometry import FrameId, GeometryId
 from pydrake.math import RigidTransform
-from pydrake.systems.framework import Context, LeafSystem, State
+from pydrake.systems.framework import (
+    Context,
+    EventStatus,
+    LeafSystem,
+    State,
+)
 
 from tofssm_drake.errors import require
+from tofssm_drake.geometry.fan import make_cone_fan
 from tofssm_drake.geometry.ray_caster import RayBundles, RayCaster
 from tofssm_drake.messages import RINGS, MaskedScan, Reading, RingScan
 from tofssm_drake.sensing.readings import (
     calc_self_interval,
     classify_readings,
 )
-from tofssm_drake.sensing.tof_ring import TofRingConfig, make_ring_bundles
-from tofssm_drake.sensing.vl53l1x import STATUS_NO_NEW_DATA, check_range
+from tofssm_drake.sensing.tof_ring import TofRingConfig
+from tofssm_drake.sensing.vl53l1x import (
+    STATUS_NO_NEW_DATA,
+    calc_cast_range,
+    check_range,
+)
 
 
 @dc.dataclass(kw_only=True)
@@ -39,6 +49,18 @@ class OcclusionMaskConfig:
 
     # Rays that stand for a sensor's cone; 0: as many as the ring's.
     rays_per_sensor: int = 0
+
+    # The mask also looks this far beyond the edge of a sensor's cone, deg
+    # (*assumed*): what the cone just grazes is seen or not, near or far, by
+    # the last degree of a mounting and the last millisecond of a clock. 0:
+    # not beyond.
+    edge_margin_deg: float = 1.0
+
+    # The robot is also looked at as it was this long before and after a
+    # sample, s (*assumed*: half a control tick). Clocks, an integration that
+    # takes its time, and a simulated world that stands still for a plant step
+    # leave that open. 0: only at the sample's own time.
+    time_margin: float = 0.004
 
     # Below this distance a sensor detects but can not measure, m: such a
     # target is as near as possible.
@@ -64,6 +86,8 @@ class OcclusionMaskConfig:
         """Raises UserError unless every setting is within its limits."""
         check_range(where, "sigma", self.sigma, 0.0, 0.1)
         check_range(where, "rays_per_sensor", self.rays_per_sensor, 0, 10000)
+        check_range(where, "edge_margin_deg", self.edge_margin_deg, 0.0, 10.0)
+        check_range(where, "time_margin", self.time_margin, 0.0, 0.1)
         check_range(where, "min_range", self.min_range, 0.0, 0.2)
         check_range(where, "max_range", self.max_range, 0.1, 65.0)
         check_range(where, "max_age", self.max_age, 0.001, 10.0)
@@ -95,18 +119,36 @@ def make_mask_bundles(
         excluded: the twin's geometries that no sensor of the ring sees: the
             link that carries it.
     """
-    if config.rays_per_sensor:
-        ring_config = dc.replace(
-            ring_config, rays_per_sensor=config.rays_per_sensor
-        )
-    return make_ring_bundles(
-        config=ring_config,
-        caster=caster,
+    return caster.make_bundles(
         frame_id=frame_id,
         X_FS=X_FS,
-        excluded=excluded,
-        margin=config.tolerance,
+        fan_S=make_mask_fan(config, ring_config),
+        max_range=calc_cast_range(ring_config.sensor) + config.tolerance,
+        excluded=[excluded] * len(X_FS),
     )
+
+
+def make_mask_fan(
+    config: OcclusionMaskConfig, ring_config: TofRingConfig
+) -> np.ndarray:
+    """Returns the directions of a sensor's rays on the twin, (k, 3).
+
+    Those of the ring itself, so that a sensor in the simulated world and the
+    mask see the same, and a circle of rays beyond the cone's edge.
+    """
+    fan_S = make_cone_fan(
+        math.radians(ring_config.fov_deg),
+        config.rays_per_sensor or ring_config.rays_per_sensor,
+    )
+    if config.edge_margin_deg == 0.0:
+        return fan_S
+    angle = math.radians(0.5 * ring_config.fov_deg + config.edge_margin_deg)
+    turn = 2.0 * np.pi * np.arange(_EDGE_RAYS) / _EDGE_RAYS
+    edge_S = np.empty((_EDGE_RAYS, 3))
+    edge_S[:, 0] = math.cos(angle)
+    edge_S[:, 1] = math.sin(angle) * np.cos(turn)
+    edge_S[:, 2] = math.sin(angle) * np.sin(turn)
+    return np.vstack([fan_S, edge_S])
 
 
 class Twin(Protocol):
@@ -119,6 +161,7 @@ class Twin(Protocol):
 
 
 _VALID = int(Reading.VALID)
+_EDGE_RAYS = 16
 
 # Columns of the history's table.
 _TIME, _POSITION, _VELOCITY = 0, slice(1, 7), slice(7, 13)
@@ -266,7 +309,8 @@ def mask_scan(
 
     Casts each sensor's rays on the twin, posed as the robot was at the
     sample's own time, and compares (paper, Self Occlusion Detection; table
-    in `tofssm_drake.sensing.readings`).
+    in `tofssm_drake.sensing.readings`). What would be valid is compared again
+    with the robot as it was a little earlier and later.
 
     Args:
         config: settings.
@@ -294,9 +338,45 @@ def mask_scan(
         one_time = False
     if before.reading.shape != (n,):
         before = _make_nothing_before(n)
-    self_distance, reports = _cast_on_twin(
-        config, scan.sensor_time, one_time, table, caster, bundles, twin
-    )
+
+    def cast(time_shift):
+        return _cast_on_twin(
+            config,
+            scan.sensor_time + time_shift if time_shift else scan.sensor_time,
+            one_time,
+            table,
+            caster,
+            bundles,
+            twin,
+        )
+
+    def interpret(self_distance):
+        return _interpret(
+            scan.distance,
+            scan.status,
+            scan.sensor_time,
+            self_distance,
+            reports,
+            before.scan.sensor_time,
+            before.scan.distance,
+            before.reading,
+            before.previous_distance,
+            before.previous_time,
+            time,
+            config.tolerance,
+            config.min_range,
+            config.max_range,
+            config.max_age,
+        )
+
+    self_distance, reports = cast(0.0)
+    result = interpret(self_distance)
+    if config.enabled and config.time_margin > 0.0 and result[-1]:
+        # A wider look can only turn valid readings into masked ones, so it is
+        # left for when there are any.
+        early, _ = cast(-config.time_margin)
+        late, _ = cast(config.time_margin)
+        result = interpret(np.hstack([self_distance, early, late]))
     (
         reading,
         reckoned,
@@ -307,23 +387,8 @@ def mask_scan(
         previous_time,
         position,
         velocity,
-    ) = _interpret(
-        scan.distance,
-        scan.status,
-        scan.sensor_time,
-        self_distance,
-        reports,
-        before.scan.sensor_time,
-        before.scan.distance,
-        before.reading,
-        before.previous_distance,
-        before.previous_time,
-        time,
-        config.tolerance,
-        config.min_range,
-        config.max_range,
-        config.max_age,
-    )
+        _,
+    ) = result
     if is_other:
         scan = dc.replace(scan, distance=reckoned)
     return MaskedScan(
@@ -421,12 +486,15 @@ def _interpret(
         max_age,
     )
     is_other = False
+    some_valid = False
     position = np.empty((n, 6))
     velocity = np.empty((n, 6))
     last_report = reports.shape[0] - 1
     for i in range(n):
         if reckoned[i] != distance[i]:
             is_other = True
+        if reading[i] == _VALID:
+            some_valid = True
         report = reports[min(i, last_report)]
         for j in range(6):
             position[i, j] = report[1 + j]
@@ -449,20 +517,8 @@ def _interpret(
         previous_time,
         position,
         velocity,
+        some_valid,
     )
-
-
-@dc.dataclass(frozen=True, eq=False)
-class _MaskState:
-    """All that the system remembers, in one piece: cheap to copy."""
-
-    table: np.ndarray
-    """The robot's reports, see `make_robot_history`."""
-    masked_scans: tuple[MaskedScan, ...]
-    """The last of each ring."""
-
-    def __deepcopy__(self, memo):
-        return self
 
 
 class OcclusionMask(LeafSystem):
@@ -534,60 +590,76 @@ class OcclusionMask(LeafSystem):
         )
         # A sample that is not stale lies within the history.
         length = math.ceil(config.max_age / config.period) + 2
-        self._state = self.DeclareAbstractState(
-            Value(
-                _MaskState(
-                    table=make_robot_history(length),
-                    masked_scans=(MaskedScan(),) * len(name),
-                )
-            )
+        self._shape = make_robot_history(length).shape
+        # Reports are numbers and new every tick, masked scans are not: in
+        # states of their own, so that one does not make the other seem new.
+        self._history = self.DeclareDiscreteState(
+            make_robot_history(length).ravel()
+        )
+        self._masked_scans = self.DeclareAbstractState(
+            Value((MaskedScan(),) * len(name))
         )
         for index, ring in enumerate(name):
             self.DeclareAbstractOutputPort(
                 f"masked_scan_{ring}",
                 Value(MaskedScan()).Clone,
                 functools.partial(self._calc_masked_scan, index=index),
-                prerequisites_of_calc={self.abstract_state_ticket(self._state)},
+                prerequisites_of_calc={
+                    self.abstract_state_ticket(self._masked_scans)
+                },
             )
         self.DeclarePeriodicUnrestrictedUpdateEvent(
-            config.period, 0.0, self._update
+            config.period, 0.0, self._mask_new_scans
+        )
+        self.DeclarePeriodicDiscreteUpdateEvent(
+            config.period, 0.0, self._remember_report
         )
 
     def _calc_masked_scan(self, context: Context, output, index: int):
-        state = context.get_abstract_state(self._state).get_value()
-        output.set_value(state.masked_scans[index])
+        masked_scans = context.get_abstract_state(self._masked_scans)
+        output.set_value(masked_scans.get_value()[index])
 
-    def _update(self, context: Context, state: State):
-        time = context.get_time()
-        value = state.get_mutable_abstract_state(self._state)
-        before = value.get_value()
-        table = push_report(
-            before.table,
-            time,
+    def _add_report(self, context: Context) -> np.ndarray:
+        """Returns the history with what the robot reports now."""
+        history = context.get_discrete_state(self._history).value()
+        return push_report(
+            history.reshape(self._shape),
+            context.get_time(),
             self._position.Eval(context),
             self._velocity.Eval(context),
             self._gripper_closed.Eval(context)[0],
             self._products_placed.Eval(context)[0],
         )
-        masked_scans = before.masked_scans
-        for i, port in enumerate(self._scans):
-            scan = port.Eval(context)
-            masked_scan = masked_scans[i]
-            if scan.sequence == masked_scan.scan.sequence:
-                continue
-            masked_scan = mask_scan(
+
+    def _remember_report(self, context: Context, discrete_state):
+        discrete_state.set_value(
+            self._history, self._add_report(context).ravel()
+        )
+
+    def _mask_new_scans(self, context: Context, state: State):
+        value = state.get_mutable_abstract_state(self._masked_scans)
+        masked_scans = list(value.get_value())
+        scans = [port.Eval(context) for port in self._scans]
+        new = [
+            i
+            for i, (scan, before) in enumerate(
+                zip(scans, masked_scans, strict=True)
+            )
+            if scan.sequence != before.scan.sequence
+        ]
+        if not new:
+            return EventStatus.DidNothing()
+        table = self._add_report(context)
+        for i in new:
+            masked_scans[i] = mask_scan(
                 self._config,
-                scan=scan,
-                before=masked_scan,
-                time=time,
+                scan=scans[i],
+                before=masked_scans[i],
+                time=context.get_time(),
                 table=table,
                 caster=self._caster,
                 bundles=self._bundles[i],
                 twin=self._twin,
             )
-            masked_scans = (
-                *masked_scans[:i],
-                masked_scan,
-                *masked_scans[i + 1 :],
-            )
-        value.set_value(_MaskState(table, masked_scans))
+        value.set_value(tuple(masked_scans))
+        return EventStatus.Succeeded()

@@ -31,6 +31,10 @@ from tofssm_drake.sensing.vl53l1x import (
     pack_config,
 )
 
+# A sample at the time of a plant step shows the world before the step: it is
+# taken a little earlier, or rounding would decide which of the two it shows.
+_EARLY = 1e-9
+
 
 @dc.dataclass(kw_only=True)
 class TofRingConfig:
@@ -167,7 +171,8 @@ class TofRing(LeafSystem):
             caster: of the SceneGraph that is connected to `geometry_query`.
             bundles: the sensors' rays, see `make_ring_bundles`.
             errors: the sensors' constant errors; None: there are none.
-            phase: time of the first sample, s; tells the rings' turns apart.
+            phase: time of the first sample, s, 0 for one period; tells the
+                rings' turns apart.
 
         Raises:
             UserError: if a setting is out of range.
@@ -209,12 +214,12 @@ class TofRing(LeafSystem):
             self._calc_scan,
             prerequisites_of_calc={self.abstract_state_ticket(self._state)},
         )
-        # Declared first, so that a scan without latency is delivered at once.
+        first = phase if phase > 0.0 else config.period
         self.DeclarePeriodicUnrestrictedUpdateEvent(
-            config.period, phase, self._capture
+            config.period, first - _EARLY, self._capture
         )
         self.DeclarePeriodicUnrestrictedUpdateEvent(
-            config.period, phase + config.latency, self._deliver
+            config.period, first + config.latency, self._deliver
         )
 
     @property

@@ -3,7 +3,7 @@
 from numba import njit
 import numpy as np
 from pydrake.common.value import Value
-from pydrake.systems.framework import LeafSystem
+from pydrake.systems.framework import EventStatus, LeafSystem
 
 from tofssm_drake.messages import (
     RINGS,
@@ -265,11 +265,14 @@ class DsiFilter(LeafSystem):
         )
 
     def _update(self, context, discrete_state):
-        discrete_state.set_value(
-            self._state,
-            calc_next_filter_state(
-                state=context.get_discrete_state(self._state).value(),
-                index=self._dsi.Eval(context),
-                robot_state=self._robot_state.Eval(context)[0],
-            ),
+        state = context.get_discrete_state(self._state).value()
+        next_state = calc_next_filter_state(
+            state=state,
+            index=self._dsi.Eval(context),
+            robot_state=self._robot_state.Eval(context)[0],
         )
+        # Nothing new: what depends on the state stays valid.
+        if (next_state == state).all():
+            return EventStatus.DidNothing()
+        discrete_state.set_value(self._state, next_state)
+        return EventStatus.Succeeded()

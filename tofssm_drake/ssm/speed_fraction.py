@@ -3,7 +3,7 @@
 import dataclasses as dc
 import math
 
-from pydrake.systems.framework import LeafSystem
+from pydrake.systems.framework import EventStatus, LeafSystem
 from ruckig import (
     ControlInterface,
     InputParameter,
@@ -124,6 +124,8 @@ class SpeedFractionTrajectory(LeafSystem):
     def _update(self, context, discrete_state):
         rho, rate = context.get_discrete_state(self._state).value()
         target = self._targets.get(self._robot_state.Eval(context)[0], 0.0)
+        if rho == target and rate == 0.0:
+            return EventStatus.DidNothing()
         discrete_state.set_value(
             self._state,
             calc_next_speed_fraction(
@@ -133,3 +135,4 @@ class SpeedFractionTrajectory(LeafSystem):
                 target=target,
             ),
         )
+        return EventStatus.Succeeded()

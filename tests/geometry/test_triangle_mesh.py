@@ -1,0 +1,590 @@
+import base64
+import json
+from pathlib import Path
+import tempfile
+import unittest
+
+import numpy as np
+from pydrake.common import MemoryFile
+from pydrake.geometry import Box, Convex, InMemoryMesh, Mesh, Role, Sphere
+from pydrake.math import RigidTransform
+import ray_oracle as oracle
+from scipy.spatial import ConvexHull
+
+from tofssm_drake.errors import UserError
+from tofssm_drake.geometry.fan import make_cone_fan
+from tofssm_drake.geometry.ray_caster import RayCaster
+import tofssm_drake.geometry.triangle_mesh as mut
+
+CUBE_VERTICES = 0.5 * np.array(
+    [[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]
+)
+CUBE_QUADS = [
+    [0, 1, 3, 2],
+    [4, 6, 7, 5],
+    [0, 4, 5, 1],
+    [2, 3, 7, 6],
+    [0, 2, 6, 4],
+    [1, 5, 7, 3],
+]
+CUBE_FACES = np.array(
+    [f for a, b, c, d in CUBE_QUADS for f in ([a, b, c], [a, c, d])]
+)
+
+
+def make_torus(count=16, major=0.5, minor=0.2):
+    u, v = np.meshgrid(*2 * [2 * np.pi * np.arange(count) / count])
+    ring = major + minor * np.cos(v)
+    vertices = np.stack(
+        [ring * np.cos(u), ring * np.sin(u), minor * np.sin(v)], -1
+    ).reshape(-1, 3)
+    i, j = np.divmod(np.arange(count * count), count)
+    a = i * count + j
+    b = i * count + (j + 1) % count
+    c = (i + 1) % count * count + (j + 1) % count
+    d = (i + 1) % count * count + j
+    return vertices, np.vstack(
+        [np.column_stack([a, b, c]), np.column_stack([a, c, d])]
+    )
+
+
+def write_obj(vertices, faces):
+    lines = ["v {:.17g} {:.17g} {:.17g}".format(*v) for v in vertices]
+    lines += [" ".join(["f", *(str(i + 1) for i in f)]) for f in faces]
+    return "\n".join(lines)
+
+
+def make_mesh(text, extension=".obj", scale=(1.0, 1.0, 1.0), kind=Mesh):
+    file = MemoryFile(text, extension, "memory")
+    return kind(InMemoryMesh(mesh_file=file), np.array(scale))
+
+
+def cast(shape, p, n, max_range=np.inf, X=None):
+    scene = oracle.Scene()
+    scene.add(shape, X)
+    dut = RayCaster(scene.inspector)
+    return dut.cast(scene.query_object(), p, n, max_range)[0]
+
+
+def make_rays(rng, count, spread=1.0):
+    return (
+        rng.uniform(-spread, spread, (count, 3)),
+        oracle.make_unit_vectors(rng, count),
+    )
+
+
+def brute_force(vertices, faces, p, n):
+    """Nearest crossing with any triangle, by solving for barycentrics."""
+    a, b, c = (vertices[faces[:, i]] for i in range(3))
+    best = np.full(len(p), np.inf)
+    for i in range(len(p)):
+        A = np.stack([b - a, c - a, np.broadcast_to(-n[i], a.shape)], -1)
+        good = np.abs(np.linalg.det(A)) > 1e-14
+        x = np.linalg.solve(A[good], (p[i] - a[good])[..., None])[..., 0]
+        hit = (x[:, :2] >= -1e-12).all(1) & (x[:, :2].sum(1) <= 1 + 1e-12)
+        t = x[hit & (x[:, 2] >= 0), 2]
+        best[i] = t.min(initial=np.inf)
+    return best
+
+
+def make_gltf(primitives, nodes, buffers):
+    """A glTF file; primitives are (vertices, indices, mode)."""
+    views, accessors, meshes, offset = [], [], [], 0
+    data = b""
+    for vertices, indices, mode in primitives:
+        primitive = {"attributes": {"POSITION": len(accessors)}, "mode": mode}
+        arrays = [np.asarray(vertices, np.float32)]
+        if indices is not None:
+            primitive["indices"] = len(accessors) + 1
+            arrays.append(np.asarray(indices, np.uint16))
+        for array in arrays:
+            views.append(
+                {
+                    "buffer": 0,
+                    "byteOffset": offset,
+                    "byteLength": array.nbytes,
+                }
+            )
+            accessors.append(
+                {
+                    "bufferView": len(views) - 1,
+                    "componentType": 5126 if array.ndim == 2 else 5123,
+                    "count": len(array),
+                    "type": "VEC3" if array.ndim == 2 else "SCALAR",
+                    "min": array.min(axis=0).tolist()
+                    if array.ndim == 2
+                    else [int(array.min())],
+                    "max": array.max(axis=0).tolist()
+                    if array.ndim == 2
+                    else [int(array.max())],
+                }
+            )
+            data += array.tobytes() + b"\0" * (-array.nbytes % 4)
+            offset = len(data)
+        meshes.append({"primitives": [primitive]})
+    uri = buffers
+    if uri is None:
+        uri = (
+            "data:application/octet-stream;base64,"
+            + base64.b64encode(data).decode()
+        )
+    return (
+        json.dumps(
+            {
+                "asset": {"version": "2.0"},
+                "scene": 0,
+                "scenes": [{"nodes": [0]}],
+                "nodes": nodes,
+                "meshes": meshes,
+                "buffers": [{"byteLength": len(data), "uri": uri}],
+                "bufferViews": views,
+                "accessors": accessors,
+            }
+        ),
+        data,
+    )
+
+
+class TestMesh(unittest.TestCase):
+    def test_cube_is_a_box(self):
+        rng = np.random.default_rng(0)
+        p, n = make_rays(rng, 20_000)
+        X = oracle.make_random_pose(rng, 0.2)
+        for scale in ((1.0, 1.0, 1.0), (0.5, 2.0, 1.0), (-1.0, 1.0, 0.7)):
+            for kind in (Mesh, Convex):
+                for faces in (CUBE_QUADS, CUBE_FACES):
+                    with self.subTest(scale=scale, kind=kind):
+                        mesh = make_mesh(
+                            write_obj(CUBE_VERTICES, faces),
+                            scale=scale,
+                            kind=kind,
+                        )
+                        distance = cast(mesh, p, n, X=X)
+                        want = cast(Box(*np.abs(scale)), p, n, X=X)
+                        np.testing.assert_array_equal(
+                            np.isfinite(distance), np.isfinite(want)
+                        )
+                        np.testing.assert_allclose(
+                            distance, want, rtol=0, atol=1e-12
+                        )
+                        self.assertTrue((distance == 0).any())
+
+    def test_torus_against_all_triangles(self):
+        rng = np.random.default_rng(1)
+        vertices, faces = make_torus()
+        p, n = make_rays(rng, 3000)
+        distance = cast(make_mesh(write_obj(vertices, faces)), p, n)
+        inside = distance == 0
+        want = brute_force(vertices, faces, p, n)
+        np.testing.assert_allclose(
+            distance[~inside], want[~inside], rtol=0, atol=1e-12
+        )
+        self.assertGreater(np.isfinite(want[~inside]).sum(), 300)
+
+    def test_inside_and_surface_as_drake_sees_them(self):
+        rng = np.random.default_rng(2)
+        scene = oracle.Scene(Role.kProximity)
+        for _ in range(2):
+            scene.add(
+                make_mesh(write_obj(*make_torus()), scale=(1, 1, 1.5)),
+                oracle.make_random_pose(rng, 0.3),
+                scene.add_frame(oracle.make_random_pose(rng, 0.3)),
+            )
+        dut = RayCaster(scene.inspector, role=Role.kProximity)
+        query_object = scene.query_object()
+        p, n = make_rays(rng, 1500)
+        distance, index = dut.cast(query_object, p, n)
+        inside = 0
+        for i in range(len(p)):
+            signed = min(
+                r.distance
+                for r in query_object.ComputeSignedDistanceToPoint(p[i])
+            )
+            self.assertEqual(signed < 0, distance[i] == 0)
+            inside += signed < 0
+            if 0 < distance[i] < np.inf:
+                at_hit = {
+                    r.id_G: r.distance
+                    for r in query_object.ComputeSignedDistanceToPoint(
+                        p[i] + distance[i] * n[i]
+                    )
+                }
+                hit_id = dut.geometry_ids[index[i]]
+                self.assertLess(abs(at_hit[hit_id]), 1e-9)
+        self.assertGreater(inside, 50)
+
+    def test_inner_shell_turned_in_leaves_a_hollow(self):
+        vertices = np.vstack([CUBE_VERTICES, 0.5 * CUBE_VERTICES])
+        faces = np.vstack([CUBE_FACES, CUBE_FACES[:, ::-1] + 8])
+        mesh = make_mesh(write_obj(vertices, faces))
+        n = [[1.0, 0, 0]]
+        self.assertEqual(cast(mesh, [[0.4, 0.01, 0.02]], n)[0], 0.0)
+        self.assertAlmostEqual(cast(mesh, [[0, 0.01, 0.02]], n)[0], 0.25)
+
+    def test_inside_out_mesh_has_the_same_inside(self):
+        mesh = make_mesh(write_obj(CUBE_VERTICES, CUBE_FACES[:, ::-1]))
+        n = [[1.0, 0, 0]]
+        self.assertEqual(cast(mesh, [[0.1, 0.01, 0.02]], n)[0], 0.0)
+        self.assertAlmostEqual(cast(mesh, [[-2, 0.01, 0.02]], n)[0], 1.5)
+
+    def test_open_surface_is_seen_from_both_sides_and_has_no_inside(self):
+        mesh = make_mesh(write_obj(CUBE_VERTICES, CUBE_QUADS[1:]))
+        for p, n, expected in (
+            ([2, 0.1, 0.2], [-1.0, 0, 0], 1.5),
+            ([0, 0.1, 0.2], [1.0, 0, 0], 0.5),
+            ([0, 0.1, 0.2], [-1.0, 0, 0], np.inf),
+            ([-2, 0.1, 0.2], [1.0, 0, 0], 2.5),
+        ):
+            self.assertAlmostEqual(cast(mesh, [p], [n])[0], expected)
+
+    def test_no_ray_slips_through_between_triangles(self):
+        """Rays at every vertex and along every edge of a closed surface."""
+        vertices, faces = make_torus(12)
+        rng = np.random.default_rng(3)
+        edge = rng.uniform(size=(len(faces), 1))
+        targets = np.vstack(
+            [
+                vertices,
+                edge * vertices[faces[:, 0]]
+                + (1 - edge) * vertices[faces[:, 1]],
+                edge * vertices[faces[:, 0]]
+                + (1 - edge) * vertices[faces[:, 2]],
+            ]
+        )
+        # From within the tube: every direction is blocked.
+        ring = targets * [1, 1, 0]
+        p = 0.5 * ring / np.linalg.norm(ring, axis=1, keepdims=True)
+        n = targets - p
+        n /= np.linalg.norm(n, axis=1, keepdims=True)
+        # One triangle taken away, so that it has no inside.
+        far = np.linalg.norm(vertices[faces].mean(1) - [0.7, 0, 0], axis=1)
+        faces = np.delete(faces, np.argmin(far), axis=0)
+        keep = np.linalg.norm(targets - [0.7, 0, 0], axis=1) > 0.3
+        distance = cast(make_mesh(write_obj(vertices, faces)), p[keep], n[keep])
+        self.assertTrue((distance > 0).all())
+        self.assertLess(distance.max(), 0.6)
+
+    def test_rays_along_axes_and_faces(self):
+        mesh = make_mesh(write_obj(CUBE_VERTICES, CUBE_FACES), scale=(2, 2, 2))
+        for p, n, expected in (
+            ([-3, 0, 0], [1.0, 0, 0], 2.0),  # Through a diagonal edge.
+            ([0, -3, 0], [0, 1.0, 0], 2.0),
+            ([0, 0, 3], [0, 0, -1.0], 2.0),
+            ([-3, 1, 0], [1.0, 0, 0], 2.0),  # Along a face.
+            ([-3, 1, 1], [1.0, 0, 0], 2.0),  # Along an edge.
+            ([-3, 0, 1.001], [1.0, 0, -0.0], np.inf),
+            ([-2, -2, -2], np.full(3, 3**-0.5), 3**0.5),  # Into a corner.
+        ):
+            with self.subTest(p=p, n=n):
+                self.assertAlmostEqual(
+                    cast(mesh, [p], [n])[0], expected, delta=1e-14
+                )
+
+    def test_fans_see_the_same_as_single_rays(self):
+        rng = np.random.default_rng(4)
+        scene = oracle.Scene()
+        for i in range(6):
+            scene.add(
+                make_mesh(
+                    write_obj(*make_torus()),
+                    scale=(0.5, 0.5, 0.5),
+                    kind=Convex if i % 2 else Mesh,
+                ),
+                oracle.make_random_pose(rng),
+                scene.add_frame(oracle.make_random_pose(rng, 0.1)),
+            )
+        scene.add(Sphere(0.2))
+        dut = RayCaster(scene.inspector)
+        X_WF = dut.poses_from_query_object(scene.query_object())
+        bundles = dut.make_bundles(
+            frame_id=scene.frame_ids[0],
+            X_FS=[oracle.make_random_pose(rng) for _ in range(100)],
+            fan_S=make_cone_fan(np.deg2rad(40), 50),
+            max_range=1.5,
+        )
+        distance, index = dut.cast_bundles(bundles, X_WF)
+        p_WR, n_WR = dut.calc_rays(bundles, X_WF)
+        want, want_index = dut.cast(
+            X_WF, p_WR.reshape(-1, 3), n_WR.reshape(-1, 3), 1.5
+        )
+        np.testing.assert_allclose(distance.ravel(), want, rtol=0, atol=1e-12)
+        differ = index.ravel() != want_index
+        self.assertTrue((want[differ] == 0).all())
+        self.assertGreater(np.isfinite(want).mean(), 0.1)
+        self.assertTrue((want == 0).any())
+
+    def test_normals_face_the_ray(self):
+        rng = np.random.default_rng(6)
+        p, n = make_rays(rng, 500)
+        X = oracle.make_random_pose(rng, 0.2)
+        closed = write_obj(CUBE_VERTICES, CUBE_QUADS)
+        # Turned at random: an open soup of triangles.
+        soup = CUBE_FACES.copy()
+        soup[::3] = soup[::3, ::-1]
+        normals = []
+        for shape in (
+            Box(1, 1, 1),
+            make_mesh(closed),
+            make_mesh(closed, kind=Convex),
+            make_mesh(write_obj(CUBE_VERTICES, soup)),
+        ):
+            scene = oracle.Scene()
+            scene.add(shape, X)
+            dut = RayCaster(scene.inspector)
+            X_WF = dut.poses_from_query_object(scene.query_object())
+            outside = np.abs(X.inverse() @ p.T).max(axis=0) > 0.5
+            rays = p[outside], n[outside]
+            hits = dut.cast(X_WF, *rays)
+            normals.append(dut.calc_normals(X_WF, *rays, *hits))
+        self.assertGreater(np.isfinite(normals[0]).all(axis=1).sum(), 50)
+        for other in normals[1:]:
+            np.testing.assert_allclose(other, normals[0], atol=1e-12)
+
+    def test_changed_mesh_is_noticed(self):
+        scene = oracle.Scene()
+        text = write_obj(CUBE_VERTICES, CUBE_QUADS)
+        changed = scene.add(make_mesh(text))
+        dut = RayCaster(scene.inspector)
+        dut.check_geometry(scene.query_object().inspector())
+        for shape in (make_mesh(text, scale=(1, 1, 2)), make_mesh(text + "\n")):
+            scene.scene_graph.ChangeShape(
+                scene.context, scene.source_id, changed, shape
+            )
+            with self.assertRaisesRegex(RuntimeError, "shape_0' was changed"):
+                dut.check_geometry(scene.query_object().inspector())
+
+    def test_geometries_of_one_file_share_it(self):
+        scene = oracle.Scene()
+        mesh = make_mesh(write_obj(CUBE_VERTICES, CUBE_FACES))
+        for i in range(3):
+            scene.add(mesh, RigidTransform([2.0 * i, 0, 0]))
+        dut = RayCaster(scene.inspector)
+        self.assertEqual(len(dut._scene[-1]), 12)
+        distance, index = dut.cast(
+            scene.query_object(),
+            [[0.1, 0.2, 9], [2.1, 0.2, 9], [4.1, 0.2, 9]],
+            [[0.0, 0, -1]] * 3,
+        )
+        np.testing.assert_allclose(distance, 8.5)
+        self.assertEqual(len(set(index)), 3)
+
+
+class TestConvex(unittest.TestCase):
+    def test_against_the_planes_of_another_hull(self):
+        rng = np.random.default_rng(5)
+        points = rng.normal(size=(40, 3)) * [0.3, 0.2, 0.4]
+        hull = ConvexHull(points)
+        shape = make_mesh(write_obj(points, hull.simplices), kind=Convex)
+        p, n = make_rays(rng, 20_000)
+        slope = n @ hull.equations[:, :3].T
+        gap = p @ hull.equations[:, :3].T + hull.equations[:, 3]
+        t = -gap / slope
+        enter = np.where(slope < 0, t, -np.inf).max(1).clip(0)
+        leave = np.where(slope > 0, t, np.inf).min(1)
+        want = np.where(enter <= leave, enter, np.inf)
+        distance = cast(shape, p, n)
+        same = np.isfinite(distance) == np.isfinite(want)
+        self.assertLess((~same).sum(), 3)  # Grazing an edge.
+        steep = same & np.isfinite(want)
+        np.testing.assert_allclose(
+            distance[steep], want[steep], rtol=0, atol=1e-12
+        )
+        self.assertTrue((want == 0).any())
+
+    def test_a_mesh_is_not_its_hull(self):
+        text = write_obj(*make_torus(64))
+        p, n = [[0.0, 0, 2]], [[0.0, 0, -1]]
+        self.assertEqual(cast(make_mesh(text), p, n)[0], np.inf)
+        self.assertAlmostEqual(cast(make_mesh(text, kind=Convex), p, n)[0], 1.8)
+
+
+class TestReadMesh(unittest.TestCase):
+    def setUp(self):
+        self.vertices, self.faces = make_torus(10)
+        # glTF has single precision.
+        self.vertices = self.vertices.astype(np.float32).astype(float)
+
+    def check_same(self, mesh, vertices, faces):
+        actual = mut.read_mesh(mesh, "it").triangles
+        expected = np.asarray(vertices)[faces].reshape(-1, 9)
+        self.assertEqual(len(actual), len(expected))
+        sorted_actual = actual[np.lexsort(actual.T)]
+        sorted_expected = expected[np.lexsort(expected.T)]
+        np.testing.assert_allclose(sorted_actual, sorted_expected, atol=1e-7)
+
+    def test_obj_file_and_memory(self):
+        text = write_obj(self.vertices, self.faces)
+        with tempfile.TemporaryDirectory() as folder:
+            path = Path(folder) / "torus.obj"
+            path.write_text(text)
+            file = mut.read_mesh(Mesh(path, np.array([1.0, 2, 3])), "it")
+        memory = mut.read_mesh(make_mesh(text, scale=(1, 2, 3)), "it")
+        np.testing.assert_array_equal(file.triangles, memory.triangles)
+        self.check_same(make_mesh(text), self.vertices, self.faces)
+
+    def test_gltf_is_turned_and_scaled_as_drake_does(self):
+        angle = 0.3
+        nodes = [
+            {"children": [1, 2], "translation": [1, 2, 3]},
+            {
+                "mesh": 0,
+                "rotation": [0, np.sin(angle), 0, np.cos(angle)],
+                "scale": [1, 2, 0.5],
+            },
+            {
+                "mesh": 0,
+                "matrix": [0, 1, 0, 0, -1, 0, 0, 0, 0, 0, 1, 0, 5, 6, 7, 1],
+            },
+        ]
+        text, _ = make_gltf(
+            [(self.vertices, self.faces.ravel(), 4)], nodes, None
+        )
+        shape = make_mesh(text, ".gltf", scale=(1, 2, 3))
+        triangles = mut.read_mesh(shape, "it").triangles
+        self.assertEqual(len(triangles), 2 * len(self.faces))
+        hull = shape.GetConvexHull()
+        corners = np.unique(triangles.reshape(-1, 3).round(5), axis=0)
+        own = corners[ConvexHull(corners).vertices]
+        drake = np.array([hull.vertex(i) for i in range(hull.num_vertices())])
+        gap = np.linalg.norm(drake[:, None] - own, axis=2).min(axis=1)
+        self.assertLess(gap.max(), 1e-4)
+        np.testing.assert_allclose(own.min(0), drake.min(0), atol=1e-4)
+        np.testing.assert_allclose(own.max(0), drake.max(0), atol=1e-4)
+
+    def test_gltf_buffers_in_memory_and_in_files(self):
+        text, data = make_gltf(
+            [(self.vertices, self.faces.ravel(), 4)], [{"mesh": 0}], "a b.bin"
+        )
+        expected = np.column_stack(
+            [self.vertices[:, 0], -self.vertices[:, 2], self.vertices[:, 1]]
+        )
+        shape = Mesh(
+            InMemoryMesh(
+                mesh_file=MemoryFile(text, ".gltf", "memory"),
+                supporting_files={"a b.bin": MemoryFile(data, ".bin", "b")},
+            )
+        )
+        self.check_same(shape, expected, self.faces)
+        with tempfile.TemporaryDirectory() as folder:
+            (Path(folder) / "a b.bin").write_bytes(data)
+            path = Path(folder) / "torus.gltf"
+            path.write_text(text.replace("a b.bin", "a%20b.bin"))
+            self.check_same(Mesh(path), expected, self.faces)
+            shape = Mesh(
+                InMemoryMesh(
+                    mesh_file=MemoryFile(text, ".gltf", "memory"),
+                    supporting_files={"a b.bin": Path(folder) / "a b.bin"},
+                )
+            )
+            self.check_same(shape, expected, self.faces)
+
+    def test_gltf_strips_fans_and_plain_lists(self):
+        v = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0], [0, 2, 1.0]])
+        for mode, indices, faces in (
+            (4, None, [[0, 1, 2]]),
+            (4, [3, 4, 0, 2, 1, 0], [[3, 4, 0], [2, 1, 0]]),
+            (5, [0, 1, 2, 3, 4], [[0, 1, 2], [3, 2, 1], [2, 3, 4]]),
+            (6, [0, 1, 2, 3, 4], [[0, 1, 2], [0, 2, 3], [0, 3, 4]]),
+        ):
+            with self.subTest(mode=mode):
+                text, _ = make_gltf(
+                    [(v, indices, mode), (v, [0, 1], 1)],
+                    [{"mesh": 0, "children": [1]}, {"mesh": 1}],
+                    None,
+                )
+                self.check_same(
+                    make_mesh(text, ".gltf"), v[:, [0, 2, 1]] * [1, -1, 1],
+                    faces,
+                )  # fmt: skip
+
+    def test_tetrahedra(self):
+        points = "0 0 0  1 0 0  0 1 0  0 0 1  1 1 1"
+        text = (
+            "# vtk DataFile Version 3.0\nx\nASCII\n"
+            "DATASET UNSTRUCTURED_GRID\n"
+            f"POINTS 5 double\n{points}\n"
+            "CELLS 2 10\n4 0 1 2 3\n4 1 2 3 4\nCELL_TYPES 2\n10\n10\n"
+        )
+        mesh = mut.read_mesh(make_mesh(text, ".vtk", (2, 2, 2)), "it")
+        self.assertEqual(len(mesh.triangles), 6)
+        self.assertTrue(mesh.is_closed)
+        self.assertEqual(mesh.triangles.max(), 2.0)
+
+    def test_unreadable_meshes_are_named(self):
+        good, _ = make_gltf([(self.vertices, [0, 1, 2], 4)], [{"mesh": 0}], "x")
+        dots, _ = make_gltf([(self.vertices, [0, 1], 0)], [{"mesh": 0}], None)
+        needs = json.dumps({"extensionsRequired": ["KHR_draco"]})
+        for shape, message in (
+            (Mesh("/nowhere/none.obj"), "none.obj' can not be read"),
+            (Mesh("/nowhere/none.gltf"), "none.gltf' can not be read"),
+            (Mesh("/nowhere/none.vtk"), "none.vtk' can not be read"),
+            (Mesh("/nowhere/a.stl"), "'.stl' is not one of .obj, .gltf, .vtk"),
+            (make_mesh("v 0 0 0"), "can not be read"),
+            (make_mesh("{", ".gltf"), "can not be read"),
+            (make_mesh(good, ".gltf"), "can not be read: 'x'"),
+            (make_mesh(dots, ".gltf"), "no triangle"),
+            (make_mesh(needs, ".gltf"), "needs the extensions KHR_draco"),
+        ):
+            with (
+                self.subTest(message=message),
+                self.assertRaisesRegex(
+                    UserError, f"geometry 'horn': mesh '.*{message}"
+                ),
+            ):
+                mut.read_mesh(shape, "horn")
+
+
+class TestMakeTriangleMesh(unittest.TestCase):
+    def check_tree(self, vertices, faces):
+        dut = mut.make_triangle_mesh(vertices, faces)
+        seen = np.zeros(len(faces), dtype=int)
+        corners = dut.triangles.reshape(-1, 3, 3)
+        stack = [(0, 0)]
+        deepest = 0
+        while stack:
+            node, depth = stack.pop()
+            deepest = max(deepest, depth)
+            low, high = dut.nodes[node, :6].reshape(2, 3)
+            first, count = dut.nodes[node, 6:].astype(int)
+            if count:
+                seen[first : first + count] += 1
+                inside = corners[first : first + count]
+                self.assertTrue((inside >= low).all())
+                self.assertTrue((inside <= high).all())
+                continue
+            for child in (first, first + 1):
+                child_low, child_high = dut.nodes[child, :6].reshape(2, 3)
+                self.assertTrue((child_low >= low).all())
+                self.assertTrue((child_high <= high).all())
+                stack.append((child, depth + 1))
+        np.testing.assert_array_equal(seen, 1)
+        self.assertLess(deepest, 100)
+
+    def test_tree_holds_every_triangle_once(self):
+        self.check_tree(*make_torus(20))
+        self.check_tree(np.eye(3), [[0, 1, 2]])
+
+    def test_tree_of_triangles_that_no_plane_parts(self):
+        self.check_tree(np.eye(3), [[0, 1, 2]] * 1000)
+
+    def test_tree_of_ever_smaller_triangles(self):
+        scale = np.repeat(0.5 ** np.arange(600), 3)[:, None]
+        vertices = np.tile(np.eye(3), (600, 1)) * scale
+        self.check_tree(vertices, np.arange(1800).reshape(-1, 3))
+
+    def test_closed(self):
+        self.assertTrue(mut.is_closed(CUBE_VERTICES, CUBE_FACES))
+        self.assertFalse(mut.is_closed(CUBE_VERTICES, CUBE_FACES[1:]))
+        # Every face with vertices of its own, as for hard edges.
+        apart = CUBE_VERTICES[CUBE_FACES].reshape(-1, 3)
+        self.assertTrue(mut.is_closed(apart, np.arange(36).reshape(-1, 3)))
+        turned = CUBE_FACES.copy()
+        turned[3] = turned[3, ::-1]
+        self.assertFalse(mut.is_closed(CUBE_VERTICES, turned))
+        self.assertFalse(mut.is_closed(np.eye(3), np.array([[0, 1, 1]])))
+
+    def test_wrong_arguments(self):
+        with self.assertRaisesRegex(ValueError, "no triangle"):
+            mut.make_triangle_mesh(np.eye(3), np.empty((0, 3)))
+        with self.assertRaisesRegex(ValueError, "not finite"):
+            mut.make_triangle_mesh(np.eye(3) * np.nan, [[0, 1, 2]])
