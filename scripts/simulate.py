@@ -119,7 +119,9 @@ def simulate(
         "command": shlex.join(["tofssm", *sys.argv[1:]]),
     }
     summary = summarize(scenario, samples, progress)
-    write_results(samples, summary, out)
+    write_results(
+        samples, summary, out, recording="recording.html" if recording else None
+    )
     if recording:
         write_recording(
             display,
@@ -303,12 +305,21 @@ def summarize(scenario: Scenario, samples: Samples, progress: Progress) -> dict:
     }
 
 
-def write_results(samples: Samples, summary: dict, out: Path) -> None:
-    """Writes summary, samples and report into a folder, each file whole."""
+def write_results(
+    samples: Samples, summary: dict, out: Path, *, recording: str | None = None
+) -> None:
+    """Writes summary, samples and report into a folder, each file whole.
+
+    Args:
+        samples: The run.
+        summary: From `summarize`.
+        out: The folder.
+        recording: File name of the replay to which the report leads.
+    """
     write_samples(samples, out)
     text = json.dumps(summary, indent=2, allow_nan=False) + "\n"
     write_atomically(out / "summary.json", lambda p: p.write_text(text))
-    write_report(samples, summary, out / "report.html")
+    write_report(samples, summary, out / "report.html", recording=recording)
 
 
 def tell(summary: dict, out: Path) -> None:

@@ -147,6 +147,55 @@ class TestSummary(unittest.TestCase):
         self.assertEqual(summary["stop_events"], stops)
 
 
+class TestEpisodes(unittest.TestCase):
+    def test_chatter_is_one_episode(self):
+        run = make_run(10.0)
+        _set_state(
+            run,
+            (0, 0),
+            (0.04, 1),  # Recovering from start-up slows nobody.
+            (0.2, 2),
+            (2.0, 1),
+            (2.08, 2),
+            (2.4, 0),
+            (2.8, 1),
+            (3.2, 2),
+            (5.0, 1),
+            (5.4, 2),
+            (9.6, 0),
+        )
+        run["true_distance"][:] = 0.9
+        run["true_distance"][310] = -0.02
+        run["speed_fraction"][(run["t"] > 2.6) & (run["t"] < 2.9)] = 0.0
+        first, second, third = mut.find_episodes(run)
+        self.assertAlmostEqual(first.time, 2.0)
+        self.assertAlmostEqual(first.duration, 1.2)
+        self.assertEqual(first.lowest, RobotState.STOP)
+        self.assertAlmostEqual(first.stopped, 0.4)
+        self.assertEqual(first.changes, 5)
+        self.assertTrue(first.rest)
+        self.assertEqual(first.least_true_distance, 0.0)
+        self.assertEqual(first.first.after, RobotState.REDUCED)
+        self.assertAlmostEqual(second.time, 5.0)
+        self.assertEqual(second.lowest, RobotState.REDUCED)
+        self.assertEqual(second.stopped, 0.0)
+        self.assertFalse(second.rest)
+        self.assertEqual(second.least_true_distance, 0.9)
+        # Until the end of the run.
+        self.assertAlmostEqual(third.duration, 0.4)
+        self.assertAlmostEqual(third.stopped, 0.4)
+        summary = mut.calc_summary(run)
+        self.assertEqual(summary["slow_episodes"], 3)
+        self.assertEqual(summary["standstills"], 1)
+
+    def test_standing_at_the_start_is_no_standstill(self):
+        run = make_run(2.0)
+        run["speed_fraction"][run["t"] < 0.5] = 0.0
+        self.assertEqual(mut.count_standstills(run), 0)
+        run["speed_fraction"][:] = 0.0
+        self.assertEqual(mut.count_standstills(run), 0)
+
+
 class TestContacts(unittest.TestCase):
     def _make(self, *spans):
         run = make_run(10.0)

@@ -13,7 +13,8 @@ import matplotlib
 from matplotlib.colors import ListedColormap, Normalize
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.patches import Patch, Polygon
+from matplotlib.patches import Patch, PathPatch, Polygon
+from matplotlib.path import Path
 import numpy as np
 
 from tofssm_drake.evaluation.metrics import StateEvent, find_contacts
@@ -139,22 +140,45 @@ def _finite(values):
     return np.where(np.isfinite(values), values, np.nan)
 
 
+def _add_boxes(ax, spans, height, **style):
+    """Draws boxes from the floor of the axes as one path, to stay small."""
+    if not spans:
+        return
+    a, b = np.array(spans).T
+    x = np.stack([a, a, b, b, a], axis=1)
+    y = np.tile([0.0, height, height, 0.0, 0.0], (len(a), 1))
+    codes = [Path.MOVETO, *[Path.LINETO] * 3, Path.CLOSEPOLY]
+    path = Path(
+        np.stack([x.ravel(), y.ravel()], axis=1), np.tile(codes, len(a))
+    )
+    ax.add_patch(
+        PathPatch(
+            path, transform=ax.get_xaxis_transform(), linewidth=0, **style
+        )
+    )
+
+
+def _find_state_spans(samples):
+    spans = find_spans(samples["t"], samples["robot_state"])
+    return {
+        state: [(a, b) for a, b, value in spans if value == state]
+        for state in RobotState
+    }
+
+
 def _shade(ax, samples):
     """Shades the axes where the robot is stopped or reduced."""
-    spans = find_spans(samples["t"], samples["robot_state"])
+    spans = _find_state_spans(samples)
     for state, (tint, hatch, line) in _SHADE.items():
-        ranges = [(a, b - a) for a, b, value in spans if value == state]
-        if ranges:
-            ax.broken_barh(
-                ranges,
-                (0, 1),
-                transform=ax.get_xaxis_transform(),
-                facecolor=tint,
-                edgecolor=line,
-                hatch=hatch,
-                linewidth=0,
-                zorder=0,
-            )
+        _add_boxes(
+            ax,
+            spans[state],
+            1.0,
+            facecolor=tint,
+            edgecolor=line,
+            hatch=hatch,
+            zorder=0,
+        )
 
 
 def _state_handles():
@@ -195,25 +219,117 @@ def _limit_distance(*series):
     return float(np.clip(max(top, default=1.5) * 1.05, 1.5, 3.2))
 
 
+def thin(
+    t: np.ndarray, y: np.ndarray, buckets: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Returns a signal's range and median in equal numbers of samples.
+
+    Args:
+        t: Times, s, (k,).
+        y: Values, NaN where there is none, (k,).
+        buckets: How many groups of neighbouring samples at most.
+
+    Returns:
+        (time, least, median, greatest), (b,) each: the middle of each group
+        and what its values do; NaN where all of them are. With k no more
+        than the buckets, the signal itself, three times.
+    """
+    if len(t) <= buckets:
+        return t, y, y, y
+    edges = np.linspace(0, len(t), buckets + 1).astype(int)
+    groups = np.add.reduceat(np.ones(len(t)), edges[:-1])
+    least = np.fmin.reduceat(y, edges[:-1])
+    greatest = np.fmax.reduceat(y, edges[:-1])
+    time = np.add.reduceat(t, edges[:-1]) / groups
+    median = np.array(
+        [
+            np.nan if np.isnan(part).all() else np.nanmedian(part)
+            for part in np.split(y, edges[1:-1])
+        ]
+    )
+    return time, least, median, greatest
+
+
+def _count_buckets(narrow):
+    return 170 if narrow else 420
+
+
+def _draw_band(ax, t, y, colour, label, narrow):
+    """Draws a restless signal: its median, on the range that it covers."""
+    time, least, median, greatest = thin(t, y, _count_buckets(narrow))
+    if time is t:
+        ax.plot(
+            t,
+            y,
+            color=colour,
+            linewidth=1.0,
+            drawstyle="steps-post",
+            label=label,
+        )
+        return
+    ax.fill_between(
+        time, least, greatest, color=colour, alpha=0.22, linewidth=0
+    )
+    ax.plot(time, median, color=colour, linewidth=0.9, label=label)
+
+
+def _draw_least(ax, t, y, narrow, **style):
+    """Draws a distance: the least one of what does not fit its own pixel."""
+    time, least, _, _ = thin(t, y, 2 * _count_buckets(narrow))
+    drawstyle = "steps-post" if time is t else "default"
+    ax.plot(time, least, drawstyle=drawstyle, **style)
+
+
+def _is_close(samples):
+    """Whether the time shown is so short that every sample can be seen."""
+    return len(samples) <= _count_buckets(True) * 5
+
+
 def make_timeline(samples: Samples, *, narrow: bool = False) -> Figure:
-    """State, tool speed and the deciding ring's distance over time."""
+    """State, tool speed and the deciding ring's distance over time.
+
+    A long run is broken into rows of at most a minute.
+    """
+    t = samples["t"]
+    rows = max(int(np.ceil((t[-1] - t[0]) / 60.0)), 1)
+    edges = np.linspace(t[0], max(t[-1], t[0] + 1e-3), rows + 1)
+    columns = 2 if narrow else 4
+    contacts = find_contacts(samples)
+    top = None
     with matplotlib.rc_context(_STYLE):
         figure = Figure(
-            figsize=(4.3, 7.4) if narrow else (10.6, 6.6),
+            figsize=(
+                (4.3, 1.8 + 5.0 * rows) if narrow else (10.6, 1.3 + 4.6 * rows)
+            ),
             layout="constrained",
         )
-        axes = figure.subplots(
-            3, 1, sharex=True, height_ratios=[0.55, 1.3, 2.2]
+        all_axes = figure.subplots(
+            3 * rows, 1, height_ratios=[0.5, 1.3, 2.4] * rows
         )
-        _draw_state(axes[0], samples)
-        _draw_speed(axes[1], samples, columns=2 if narrow else 4)
-        _draw_distance(axes[2], samples, columns=2 if narrow else 4)
-        contacts = find_contacts(samples)
-        _mark_contacts(axes, contacts)
-        axes[2].set_xlabel("time (s)")
-        t = samples["t"]
-        axes[2].set_xlim(t[0], max(t[-1], t[0] + 1e-3))
+        for row in range(rows):
+            axes = all_axes[3 * row : 3 * row + 3]
+            part = _cut(samples, edges[row], edges[row + 1])
+            shown = columns if not row else 0
+            _draw_state(axes[0], part)
+            _draw_speed(axes[1], part, shown, narrow)
+            top = _draw_distance(
+                axes[2], part, shown, narrow, top, bool(contacts)
+            )
+            _mark_contacts(axes, contacts)
+            for ax in axes:
+                ax.set_xlim(edges[row], edges[row + 1])
+            for ax in axes[:2]:
+                ax.tick_params(labelbottom=False)
+        all_axes[-1].set_xlabel("time (s)")
     return figure
+
+
+def _cut(samples, start, end):
+    rows = (samples["t"] >= start - 1e-9) & (samples["t"] <= end + 1e-9)
+    return Samples(
+        column={name: values[rows] for name, values in samples.column.items()},
+        metadata=samples.metadata,
+    )
 
 
 def make_closeup(
@@ -225,12 +341,7 @@ def make_closeup(
     narrow: bool = False,
 ) -> Figure:
     """The same as `make_timeline` around one instant, s."""
-    t = samples["t"]
-    rows = (t >= time - before) & (t <= time + after)
-    part = Samples(
-        column={name: values[rows] for name, values in samples.column.items()},
-        metadata=samples.metadata,
-    )
+    part = _cut(samples, time - before, time + after)
     figure = make_timeline(part, narrow=narrow)
     for ax in figure.axes:
         ax.axvline(time, color=BLACK, linewidth=0.9, linestyle=(0, (1, 2)))
@@ -238,103 +349,91 @@ def make_closeup(
 
 
 def _draw_state(ax, samples):
-    _shade(ax, samples)
-    ax.step(
-        samples["t"],
-        samples["robot_state"],
-        where="post",
-        color=BLACK,
-        linewidth=1.4,
-    )
-    ax.set_yticks([0, 1, 2], ["stopped", "reduced", "normal"])
-    ax.set_ylim(-0.35, 2.35)
-    ax.grid(axis="x")
-    ax.set_title("Robot state")
+    spans = _find_state_spans(samples)
+    for state in RobotState:
+        _add_boxes(
+            ax,
+            spans[state],
+            (3 - state) / 3,
+            facecolor=STATE_COLOUR[state],
+            edgecolor="none",
+        )
+    ax.set_ylim(0, 1)
+    ax.set_yticks([1 / 3, 2 / 3, 1], ["normal", "reduced", "stopped"])
+    ax.grid(False)
 
 
-def _draw_speed(ax, samples, columns):
+def _draw_speed(ax, samples, columns, narrow):
     _shade(ax, samples)
     t = samples["t"]
-    ax.plot(t, samples["tcp_speed"], color=BLUE, label="tool speed")
-    top = max(1.8, float(np.max(samples["tcp_speed"], initial=0)) * 1.05)
+    speed = samples["tcp_speed"]
+    top = max(1.8, float(np.max(speed, initial=0)) * 1.05)
     ax.set_ylim(0, top)
-    ax.set_ylabel("tool speed (m/s)")
-    twin = ax.twinx()
-    twin.spines["right"].set_visible(True)
-    twin.plot(
-        t,
-        100 * samples["speed_fraction"],
-        color=BLACK,
-        linestyle=(0, (4, 2)),
-        linewidth=1.0,
-    )
-    twin.set_ylim(0, 100 * top / 1.7)
-    twin.set_yticks([0, 50, 100])
-    twin.set_ylabel("speed fraction (%)")
-    twin.grid(False)
+    ax.set_ylabel("tool (m/s)")
     handles = [
         Line2D([], [], color=BLUE, label="tool speed"),
-        Line2D(
-            [],
-            [],
-            color=BLACK,
-            linestyle=(0, (4, 2)),
-            linewidth=1.0,
-            label="speed fraction",
-        ),
         *_state_handles(),
     ]
-    _legend(ax, handles, columns)
+    if _is_close(samples):
+        ax.plot(t, speed, color=BLUE)
+        twin = ax.twinx()
+        twin.spines["right"].set_visible(True)
+        style = {"color": BLACK, "linestyle": (0, (4, 2)), "linewidth": 1.0}
+        twin.plot(t, 100 * samples["speed_fraction"], **style)
+        twin.set_ylim(0, 100 * top / 1.7)
+        twin.set_yticks([0, 50, 100])
+        twin.set_ylabel("speed fraction (%)")
+        twin.grid(False)
+        handles.insert(1, Line2D([], [], label="speed fraction", **style))
+    else:
+        time, _, _, greatest = thin(t, speed, 2 * _count_buckets(narrow))
+        ax.fill_between(time, 0, greatest, color=BLUE, alpha=0.25, linewidth=0)
+        ax.plot(time, greatest, color=BLUE, linewidth=0.9)
+    if columns:
+        _legend(ax, handles, columns)
 
 
-def _draw_distance(ax, samples, columns):
+def _draw_distance(ax, samples, columns, narrow, top, touched):
     _shade(ax, samples)
     t = samples["t"]
     ring = find_deciding_ring(samples)
     measured = _finite(pick(samples, "measured_distance", ring))
     critical = _finite(pick(samples, "d_C", ring))
     reduced = _finite(pick(samples, "d_R", ring))
-    true = _finite(samples["true_distance"])
-    ax.plot(
-        t,
-        reduced,
-        color=ORANGE,
-        linewidth=1.0,
-        drawstyle="steps-post",
-        label="slow below $d_R$",
-    )
-    ax.plot(
-        t,
-        critical,
-        color=VERMILLION,
-        linewidth=1.0,
-        drawstyle="steps-post",
-        label="stop below $d_C$",
-    )
-    ax.plot(
+    true = np.maximum(_finite(samples["true_distance"]), 0.0)
+    _draw_band(ax, t, reduced, ORANGE, "slow below $d_R$", narrow)
+    _draw_band(ax, t, critical, VERMILLION, "stop below $d_C$", narrow)
+    _draw_least(
+        ax,
         t,
         measured,
+        narrow,
         color=BLUE,
-        linewidth=1.7,
-        drawstyle="steps-post",
+        linewidth=1.6,
         label="measured by the rings",
     )
-    ax.plot(
+    _draw_least(
+        ax,
         t,
         true,
+        narrow,
         color=BLACK,
         linewidth=1.1,
         linestyle=(0, (5, 1.5)),
         label="true, surface to surface",
     )
-    ax.set_ylim(0, _limit_distance(reduced, measured))
-    ax.set_ylabel("distance to the person (m)")
+    top = top or _limit_distance(reduced, measured)
+    ax.set_ylim(0, top)
+    ax.set_ylabel("distance (m)")
+    if not columns:
+        return top
     handles = ax.get_legend_handles_labels()[0]
-    if find_contacts(samples):
+    if touched:
         handles.append(
             Line2D([], [], color=PURPLE, label="contact while moving")
         )
     _legend(ax, handles, columns)
+    return top
 
 
 def make_plan(samples: Samples, *, narrow: bool = False) -> Figure:
@@ -375,22 +474,15 @@ def make_plan(samples: Samples, *, narrow: bool = False) -> Figure:
             linewidth=1.2,
             zorder=2,
         )
-        state = samples["robot_state"]
         x, y = samples["person_x"], samples["person_y"]
-        for s, e, value in _find_index_spans(state):
-            part = slice(s, e + 1)
-            colour = STATE_COLOUR[RobotState(value)]
-            dash = {0: "solid", 1: (0, (3, 1)), 2: "solid"}[value]
-            width = {0: 4.5, 1: 3.0, 2: 1.4}[value]
+        for state, (px, py) in find_place_states(samples).items():
             ax.plot(
-                x[part],
-                y[part],
-                color=colour,
-                linewidth=width,
-                linestyle=dash,
-                solid_capstyle="butt",
-                dash_capstyle="butt",
-                zorder=3 + (value == 0),
+                px,
+                py,
+                color=STATE_COLOUR[state],
+                linestyle="none",
+                zorder=3,
+                **_PLACE[state],
             )
         base = plan.get("robot", [0.0, 0.0])
         ax.plot(*base, marker="s", color=BLACK, markersize=9, zorder=5)
@@ -423,16 +515,12 @@ def make_plan(samples: Samples, *, narrow: bool = False) -> Figure:
                 Line2D(
                     [],
                     [],
-                    color=STATE_COLOUR[s],
-                    linewidth=w,
-                    linestyle=dash,
-                    label=f"person, robot {STATE_NAME[s]}",
+                    color=STATE_COLOUR[state],
+                    linestyle="none",
+                    label=f"person, robot {STATE_NAME[state]}",
+                    **_PLACE[state],
                 )
-                for s, w, dash in (
-                    (RobotState.NORMAL, 1.4, "solid"),
-                    (RobotState.REDUCED, 3.0, (0, (3, 1))),
-                    (RobotState.STOP, 4.5, "solid"),
-                )
+                for state in reversed(RobotState)
             ]
         distance = samples["true_distance"]
         if np.isfinite(distance).any():
@@ -492,16 +580,46 @@ def make_plan(samples: Samples, *, narrow: bool = False) -> Figure:
     return figure
 
 
-def _find_index_spans(values):
-    change = np.flatnonzero(np.diff(values)) + 1
-    first = np.concatenate(([0], change)).astype(int)
-    last = np.append(change, max(len(values) - 1, 0)).astype(int)
-    if not len(values):
-        return []
-    return [
-        (int(s), int(e), int(values[s]))
-        for s, e in zip(first, last, strict=True)
-    ]
+_PLACE = {
+    RobotState.STOP: {"marker": "s", "markersize": 5.0},
+    RobotState.REDUCED: {"marker": "D", "markersize": 3.4},
+    RobotState.NORMAL: {"marker": "o", "markersize": 2.0},
+}
+
+
+def find_place_states(
+    samples: Samples, *, cell: float = 0.05
+) -> dict[RobotState, tuple[np.ndarray, np.ndarray]]:
+    """Finds what the robot did most often where the person was.
+
+    A person who walks the same path again and again would otherwise cover
+    the trace of the first time with that of the last.
+
+    Args:
+        samples: The run.
+        cell: Side of the squares into which the floor is divided, m.
+
+    Returns:
+        For each state the places (x, y), m, of the squares in which it was
+        the most frequent: the mean of where the person was in them.
+    """
+    x, y = samples["person_x"], samples["person_y"]
+    known = np.isfinite(x) & np.isfinite(y)
+    x, y = x[known], y[known]
+    state = samples["robot_state"][known]
+    squares = np.stack([np.floor(x / cell), np.floor(y / cell)], axis=1)
+    _, where = np.unique(squares, axis=0, return_inverse=True)
+    where = where.ravel()
+    count = np.zeros((where.max(initial=-1) + 1, len(RobotState)))
+    np.add.at(count, (where, state), 1)
+    total = count.sum(axis=1)
+    mean_x = np.bincount(where, x, len(total)) / total
+    mean_y = np.bincount(where, y, len(total)) / total
+    most = np.argmax(count, axis=1)
+    return {
+        value: (mean_x[most == value], mean_y[most == value])
+        for value in RobotState
+    }
 
 
 def make_rings(samples: Samples, *, narrow: bool = False) -> Figure:
@@ -524,7 +642,7 @@ def make_rings(samples: Samples, *, narrow: bool = False) -> Figure:
         image = None
         for i, ring in enumerate(rings):
             columns = 0 if i else 2 if narrow else 4
-            _draw_ring_distance(axes[2 * i], samples, ring, columns)
+            _draw_ring_distance(axes[2 * i], samples, ring, columns, narrow)
             image = _draw_readings(axes[2 * i + 1], samples, ring) or image
         axes[0].set_xlim(t[0], max(t[-1], t[0] + 1e-3))
         axes[-1].set_xlabel("time (s)")
@@ -558,43 +676,27 @@ def make_rings(samples: Samples, *, narrow: bool = False) -> Figure:
     return figure
 
 
-def _draw_ring_distance(ax, samples, ring, columns):
+def _draw_ring_distance(ax, samples, ring, columns, narrow):
     t = samples["t"]
     _shade(ax, samples)
     true = _finite(samples[f"{ring}_true_distance"])
     measured = _finite(samples[f"{ring}_measured_distance"])
     reduced = _finite(samples[f"{ring}_d_R"])
-    ax.plot(
-        t,
-        reduced,
-        color=ORANGE,
-        linewidth=0.9,
-        label="$d_R$",
-        drawstyle="steps-post",
-    )
-    ax.plot(
-        t,
-        _finite(samples[f"{ring}_d_C"]),
-        color=VERMILLION,
-        linewidth=0.9,
-        label="$d_C$",
-        drawstyle="steps-post",
-    )
-    ax.plot(
+    critical = _finite(samples[f"{ring}_d_C"])
+    _draw_band(ax, t, reduced, ORANGE, "slow below $d_R$", narrow)
+    _draw_band(ax, t, critical, VERMILLION, "stop below $d_C$", narrow)
+    _draw_least(
+        ax,
         t,
         true,
+        narrow,
         color=BLACK,
         linewidth=1.0,
         linestyle=(0, (5, 1.5)),
         label="true, from link centre",
     )
-    ax.plot(
-        t,
-        measured,
-        color=BLUE,
-        linewidth=1.6,
-        drawstyle="steps-post",
-        label="measured",
+    _draw_least(
+        ax, t, measured, narrow, color=BLUE, linewidth=1.6, label="measured"
     )
     ax.set_ylim(0, _limit_distance(measured, reduced))
     ax.set_ylabel("m")

@@ -7,6 +7,11 @@ Definitions:
 - A *stop event* is a change of the robot state to stop after start-up, a
   *reduce event* one from normal to reduced. Recovering (stop to reduced,
   reduced to normal) is no event of either kind.
+- An *episode* is the time from leaving normal until normal lasts for 0.5 s.
+  Close to a threshold the state changes with every few samples: an episode
+  is what a bystander would call one slowing down.
+- A *standstill* begins when the speed fraction falls below 0.01 after
+  start-up.
 - A *contact while moving* is a stretch of ticks in which the robot touches
   the person with a point that moves faster than 0.01 m/s. Stretches less
   than 0.25 s apart are one event, because a swinging limb may leave and
@@ -24,6 +29,8 @@ from tofssm_drake.messages import RobotState
 MOVING_SPEED = 0.01
 """Slower than this counts as standing, m/s."""
 _MERGE_TIME = 0.25
+_SETTLE_TIME = 0.5
+_STANDSTILL = 0.01
 _SEEN_TOLERANCE = 0.25
 
 
@@ -57,6 +64,28 @@ class StateEvent:
         if self.after < self.before:
             return "reduce"
         return "recover"
+
+
+@dc.dataclass(frozen=True, kw_only=True)
+class Episode:
+    """One time of slowing down, from normal to normal again."""
+
+    time: float
+    """When it began, s."""
+    duration: float
+    """Until normal came to stay, or until the run ended, s."""
+    lowest: RobotState
+    """The slowest state in it."""
+    stopped: float
+    """Time in state stop, s."""
+    rest: bool
+    """Whether the robot came to a standstill."""
+    changes: int
+    """Changes of state in it, the first included."""
+    first: StateEvent
+    """The change that began it."""
+    least_true_distance: float
+    """Between robot and person, m; 0: they touched; inf: nobody there."""
 
 
 @dc.dataclass(frozen=True, kw_only=True)
@@ -172,6 +201,66 @@ def find_state_events(samples: Samples) -> list[StateEvent]:
             )
         )
     return events
+
+
+def find_episodes(
+    samples: Samples, events: list[StateEvent] | None = None
+) -> list[Episode]:
+    """Returns the times of slowing down after start-up, in order.
+
+    Args:
+        samples: The run.
+        events: Its `find_state_events`, if at hand.
+    """
+    if events is None:
+        events = find_state_events(samples)
+    t, state = samples["t"], samples["robot_state"]
+    periods = calc_periods(t)
+    true_distance = np.maximum(samples["true_distance"], 0.0)
+    groups = []
+    back = -np.inf
+    for event in events:
+        opens = event.before == RobotState.NORMAL
+        if opens and event.time - back >= _SETTLE_TIME:
+            groups.append([])
+        if groups:
+            groups[-1].append(event)
+        if event.after == RobotState.NORMAL:
+            back = event.time
+    episodes = []
+    for group in groups:
+        last = group[-1]
+        end = last.time
+        if last.after != RobotState.NORMAL:
+            end += last.duration
+        rows = slice(*np.searchsorted(t, [group[0].time, end - 1e-9]))
+        stopped = periods[rows][state[rows] == RobotState.STOP].sum()
+        episodes.append(
+            Episode(
+                time=group[0].time,
+                duration=end - group[0].time,
+                lowest=min(event.after for event in group),
+                stopped=float(stopped),
+                rest=bool(
+                    (samples["speed_fraction"][rows] < _STANDSTILL).any()
+                ),
+                changes=len(group),
+                first=group[0],
+                least_true_distance=float(
+                    true_distance[rows].min(initial=np.inf)
+                ),
+            )
+        )
+    return episodes
+
+
+def count_standstills(samples: Samples) -> int:
+    """Returns how often the speed fraction fell to nothing after start-up."""
+    rest = samples["speed_fraction"] < _STANDSTILL
+    moved = np.flatnonzero(~rest)
+    if not len(moved):
+        return 0
+    return int(np.sum(np.diff(rest[moved[0] :].astype(int)) == 1))
 
 
 def find_contacts(samples: Samples) -> list[Contact]:
@@ -369,6 +458,7 @@ def calc_summary(samples: Samples, *, products: int = 10) -> dict:
           was placed (None: not finished); `simulated_s`, length of the run.
         - `stop_events`, `reduce_events`; `stopped_s`, `reduced_s`,
           `normal_s`, time in each state after start-up; `startup_s` before.
+        - `slow_episodes`, `standstills`: see the top of this module.
         - `min_true_distance_m` between the surfaces of robot and person
           (0: they touched; None: nobody there).
         - `contact_while_moving_events`, `contact_while_moving_max_mps`.
@@ -418,6 +508,8 @@ def calc_summary(samples: Samples, *, products: int = 10) -> dict:
         "stopped_s": duration(RobotState.STOP),
         "reduced_s": duration(RobotState.REDUCED),
         "normal_s": duration(RobotState.NORMAL),
+        "slow_episodes": len(find_episodes(samples, events)),
+        "standstills": count_standstills(samples),
         "min_true_distance_m": (
             max(float(true_distance.min()), 0.0) if has_person else None
         ),

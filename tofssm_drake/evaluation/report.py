@@ -11,14 +11,16 @@ import numpy as np
 from tofssm_drake.evaluation import figures
 from tofssm_drake.evaluation.metrics import (
     Contact,
+    Episode,
     StateEvent,
     find_contacts,
+    find_episodes,
     find_state_events,
 )
 from tofssm_drake.evaluation.samples import Samples, write_atomically
 from tofssm_drake.messages import RobotState
 
-_EVENTS_SHOWN = 25
+_ROWS_SHOWN = 30
 _NONE = "\u2013"
 
 _CONFIGURATION = {
@@ -133,15 +135,16 @@ def make_verdict(summary: dict, *, products: int) -> list[tuple[str, str]]:
                 f"{summary['simulated_s']:.1f} s that were simulated.",
             )
         )
-    stops, reductions = summary["stop_events"], summary["reduce_events"]
-    if stops or reductions:
+    episodes = summary["slow_episodes"]
+    if episodes:
         verdict.append(
             (
                 "note",
-                f"The rings stopped the robot {_times(stops)} "
-                f"({summary['stopped_s']:.1f} s in all) and slowed it "
-                f"{_times(reductions)} ({summary['reduced_s']:.1f} s at "
-                "half speed).",
+                f"The rings slowed the robot in "
+                f"{count_of(episodes, 'episode')} and brought it to a "
+                f"standstill {_times(summary['standstills'])}. It was told "
+                f"to stop for {summary['stopped_s']:.1f} s and to run at "
+                f"half speed for {summary['reduced_s']:.1f} s in all.",
             )
         )
     else:
@@ -181,21 +184,25 @@ def _make_headlines(summary, products):
         Headline(
             value=number("min_true_distance_m", 2, "m"),
             label="least true distance",
-            note="robot's surface to person's",
+            note=(
+                "they touched"
+                if summary["min_true_distance_m"] == 0.0
+                else "robot's surface to person's"
+            ),
         ),
         Headline(
             value=str(summary["stop_events"]),
-            label="stops",
-            note=f"{number('stopped_s', 1, 's')} stopped",
+            label="changes to stop",
+            note=f"{number('stopped_s', 1, 's')} stopped in all",
         ),
         Headline(
             value=str(summary["reduce_events"]),
-            label="reductions",
-            note=f"{number('reduced_s', 1, 's')} at half speed",
+            label="changes from normal to reduced",
+            note=f"{number('reduced_s', 1, 's')} reduced in all",
         ),
         Headline(
             value=number("max_tcp_speed_mps", 2, "m/s"),
-            label="fastest tool",
+            label="highest tool speed",
         ),
         Headline(
             value=(_NONE if rmse is None else f"{1000 * rmse:.0f}\u00a0mm"),
@@ -287,6 +294,7 @@ def _make_contact(contact, samples):
     ]
     first, *rest = describe_contact(contact)
     return {
+        "time": contact.time,
         "lead": first,
         "rest": rest[0],
         "views": rest[1:],
@@ -294,23 +302,46 @@ def _make_contact(contact, samples):
     }
 
 
+def _format_true(distance):
+    if math.isinf(distance):
+        return "nobody"
+    return format_number(max(distance, 0.0))
+
+
 def _make_event_row(event: StateEvent):
     name = figures.STATE_NAME
-    ring = event.ring or _NONE
     return {
-        "time": f"{event.time:.2f}",
+        "time": event.time,
         "kind": event.kind,
         "change": f"{name[event.before]} → {name[event.after]}",
-        "ring": ring,
+        "ring": event.ring or _NONE,
         "measured": format_number(event.measured_distance),
-        "true": (
-            "nobody"
-            if math.isinf(event.true_distance)
-            else format_number(max(event.true_distance, 0.0))
-        ),
+        "true": _format_true(event.true_distance),
         "speed": format_number(event.tcp_speed),
         "duration": f"{event.duration:.2f}",
         "reason": event.reason,
+    }
+
+
+def _make_episode_row(episode: Episode):
+    if episode.rest:
+        lowest = "stopped, stood still"
+    elif episode.lowest == RobotState.STOP:
+        lowest = "stopped, not yet still"
+    else:
+        lowest = "reduced"
+    return {
+        "time": episode.time,
+        "kind": "stop" if episode.lowest == RobotState.STOP else "reduce",
+        "lowest": lowest,
+        "duration": f"{episode.duration:.2f}",
+        "stopped": f"{episode.stopped:.2f}" if episode.stopped else _NONE,
+        "ring": episode.first.ring or _NONE,
+        "measured": format_number(episode.first.measured_distance),
+        "true": _format_true(episode.first.true_distance),
+        "least": _format_true(episode.least_true_distance),
+        "speed": format_number(episode.first.tcp_speed),
+        "changes": episode.changes,
     }
 
 
@@ -356,7 +387,9 @@ def _make_figures(samples, events, contacts):
     return result
 
 
-def make_report(samples: Samples, summary: dict) -> str:
+def make_report(
+    samples: Samples, summary: dict, *, recording: str | None = None
+) -> str:
     """Returns the report as one HTML document.
 
     Args:
@@ -366,12 +399,14 @@ def make_report(samples: Samples, summary: dict) -> str:
             `ring_geometry`, `robot_bodies`, `person_parts`, `interrupted`.
         summary: What `calc_summary` returned, with whatever else the run's
             `summary.json` holds (`real_time_factor`).
+        recording: Where the replay is, relative to the report; instants are
+            then linked to it. The report needs no other file.
     """
     metadata = samples.metadata
     products = int(metadata.get("products", 10))
     events = find_state_events(samples)
     contacts = find_contacts(samples)
-    rows = [_make_event_row(e) for e in events]
+    episodes = find_episodes(samples, events)
     ssm = str(metadata.get("ssm", "")).lower()
     environment = jinja2.Environment(
         autoescape=True,
@@ -385,7 +420,7 @@ def make_report(samples: Samples, summary: dict) -> str:
         .read_text(encoding="utf-8")
     )
     has_samples = len(samples) > 1
-    return template.render(
+    page = template.render(
         interrupted=bool(metadata.get("interrupted")),
         scenario=metadata.get("scenario", ""),
         versions=metadata.get("versions", {}),
@@ -400,12 +435,15 @@ def make_report(samples: Samples, summary: dict) -> str:
             _make_figures(samples, events, contacts) if has_samples else {}
         ),
         has_samples=has_samples,
-        events=rows[:_EVENTS_SHOWN],
-        more_events=rows[_EVENTS_SHOWN:],
+        recording=recording,
+        episodes=[_make_episode_row(e) for e in episodes],
+        rows_shown=_ROWS_SHOWN,
+        events=[_make_event_row(e) for e in events],
         contacts=[_make_contact(c, samples) for c in contacts],
         rings=_make_ring_rows(samples, summary),
         facts=_make_facts(samples, summary),
     )
+    return page.lstrip()
 
 
 def _make_ring_rows(samples, summary):
@@ -456,16 +494,23 @@ def _make_facts(samples, summary):
     return [(term, str(value)) for term, value in facts if value is not None]
 
 
-def write_report(samples: Samples, summary: dict, path: Path) -> None:
+def write_report(
+    samples: Samples,
+    summary: dict,
+    path: Path,
+    *,
+    recording: str | None = None,
+) -> None:
     """Writes `make_report` to a file, whole or not at all.
 
     Args:
         samples: The run.
         summary: Its numbers, see `make_report`.
         path: The HTML file.
+        recording: See `make_report`.
 
     Raises:
         UserError: if it cannot be written.
     """
-    text = make_report(samples, summary)
+    text = make_report(samples, summary, recording=recording)
     write_atomically(Path(path), lambda p: p.write_text(text, "utf-8"))
