@@ -6,7 +6,6 @@ import numpy as np
 from pydrake.geometry import Capsule, Role, Sphere
 from pydrake.math import RigidTransform, RotationMatrix
 import ray_oracle as oracle
-from scipy.optimize import lsq_linear
 
 import tofssm_drake.geometry.distance as mut
 
@@ -15,10 +14,21 @@ point = st.tuples(coordinate, coordinate, coordinate)
 
 
 def calc_segment_distance(a, b, c, d):
-    """The same by constrained least squares."""
-    A = np.column_stack([b - a, -(d - c)])
-    result = lsq_linear(A, c - a, (0, 1), method="bvls", tol=1e-15)
-    return np.linalg.norm(A @ result.x - (c - a))
+    """The same by search: the distance is convex along the first segment."""
+
+    def calc_gap(s):
+        p = a + s * (b - a)
+        t = (p - c) @ (d - c) / ((d - c) @ (d - c))
+        return np.linalg.norm(c + np.clip(t, 0, 1) * (d - c) - p)
+
+    low, high = 0.0, 1.0
+    while high - low > 1e-9:
+        first, second = (2 * low + high) / 3, (low + 2 * high) / 3
+        if calc_gap(first) < calc_gap(second):
+            high = second
+        else:
+            low = first
+    return calc_gap(0.5 * (low + high))
 
 
 def closest(a_p, a_q, a_r, b_p, b_q, b_r):
@@ -28,7 +38,7 @@ def closest(a_p, a_q, a_r, b_p, b_q, b_r):
 
 
 class TestClosestCapsules(unittest.TestCase):
-    def test_against_least_squares(self):
+    def test_against_a_search(self):
         rng = np.random.default_rng(0)
         for _ in range(300):
             ends = rng.uniform(-1, 1, (4, 3))
@@ -147,10 +157,18 @@ class TestClosestCapsules(unittest.TestCase):
         self.assertTrue(np.isnan(p_A).all() and np.isnan(p_B).all())
 
     def test_nan_is_not_far(self):
-        one, bad = [[0.0, 0, 0]], [[9.0, 0, 0], [np.nan, 0, 0]]
-        self.assertTrue(
-            np.isnan(closest(one, one, [0.1], bad, bad, [0.1, 0.1])[0])
-        )
+        good = ([[0.0, 0, 0]], [[0.0, 0, 1]], [0.1]) * 2
+        for i in range(6):
+            for k in range(3):
+                bad = [np.array(x) for x in good]
+                bad[i].flat[min(k, bad[i].size - 1)] = np.nan
+                # Last of several.
+                bad = [
+                    np.concatenate([x, y])
+                    for x, y in zip(good, bad, strict=True)
+                ]
+                with self.subTest(i=i, k=k):
+                    self.assertTrue(np.isnan(closest(*bad)[0]))
 
 
 class TestPointToCapsules(unittest.TestCase):
@@ -189,3 +207,10 @@ class TestPointToCapsules(unittest.TestCase):
         one = np.array([[0.0, 0, 1]])
         dut = mut.point_to_capsules(points, one, one, np.array([0.25]))
         np.testing.assert_array_equal(dut, [0.75, np.nan])
+        two = np.vstack([one, one])
+        for i in range(2):
+            ends = [two, two.copy()]
+            ends[i] = two.copy()
+            ends[i][1, 2] = np.nan
+            dut = mut.point_to_capsules(points, *ends, np.full(2, 0.25))
+            self.assertTrue(np.isnan(dut).all())

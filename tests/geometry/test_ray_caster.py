@@ -273,6 +273,25 @@ class TestBundles(unittest.TestCase):
             ):
                 self.dut.make_bundles(**(good | bad))
 
+    def test_bundles_must_be_of_this_caster(self):
+        bundles, _ = self.make(2, max_range=1.0)
+        other = mut.RayCaster(self.scene.inspector)
+        X_WF = other.poses_from_query_object(self.scene.query_object())
+        for method in (other.cast_bundles, other.calc_rays):
+            with self.assertRaisesRegex(ValueError, "another RayCaster"):
+                method(bundles, X_WF)
+
+    def test_poses_may_be_laid_out_in_any_way(self):
+        bundles, _ = self.make(5, max_range=1.0)
+        X_WF = self.dut.poses_from_query_object(self.scene.query_object())
+        expected = self.dut.cast_bundles(bundles, X_WF)
+        frozen = X_WF.copy()
+        frozen.flags.writeable = False
+        for poses in (frozen, np.asfortranarray(X_WF)):
+            actual = self.dut.cast_bundles(bundles, poses)
+            np.testing.assert_array_equal(actual[0], expected[0])
+            np.testing.assert_array_equal(actual[1], expected[1])
+
     def test_poses_must_fit(self):
         bundles, _ = self.make(2, max_range=1.0)
         X_WF = self.dut.poses_from_query_object(self.scene.query_object())

@@ -1,4 +1,5 @@
 import base64
+import itertools
 import json
 from pathlib import Path
 import tempfile
@@ -9,7 +10,6 @@ from pydrake.common import MemoryFile
 from pydrake.geometry import Box, Convex, InMemoryMesh, Mesh, Role, Sphere
 from pydrake.math import RigidTransform
 import ray_oracle as oracle
-from scipy.spatial import ConvexHull
 
 from tofssm_drake.errors import UserError
 from tofssm_drake.geometry.fan import make_cone_fan
@@ -85,6 +85,19 @@ def brute_force(vertices, faces, p, n):
         t = x[hit & (x[:, 2] >= 0), 2]
         best[i] = t.min(initial=np.inf)
     return best
+
+
+def find_hull_planes(points):
+    """All planes through three points with every point on one side."""
+    planes = []
+    for i, j, k in itertools.combinations(range(len(points)), 3):
+        n = np.cross(points[j] - points[i], points[k] - points[i])
+        n /= np.linalg.norm(n)
+        height = points @ n - points[i] @ n
+        if (height < 1e-9).all() or (height > -1e-9).all():
+            n = n if height.min() < -1e-9 else -n
+            planes.append([*n, points[i] @ n])
+    return np.array(planes)
 
 
 def make_gltf(primitives, nodes, buffers):
@@ -372,12 +385,13 @@ class TestMesh(unittest.TestCase):
 class TestConvex(unittest.TestCase):
     def test_against_the_planes_of_another_hull(self):
         rng = np.random.default_rng(5)
-        points = rng.normal(size=(40, 3)) * [0.3, 0.2, 0.4]
-        hull = ConvexHull(points)
-        shape = make_mesh(write_obj(points, hull.simplices), kind=Convex)
+        points = oracle.make_unit_vectors(rng, 24) * [0.5, 0.3, 0.7]
+        planes = find_hull_planes(points)
+        self.assertEqual(len(planes), 2 * 24 - 4)
+        shape = make_mesh(write_obj(points, [[0, 1, 2]]), kind=Convex)
         p, n = make_rays(rng, 20_000)
-        slope = n @ hull.equations[:, :3].T
-        gap = p @ hull.equations[:, :3].T + hull.equations[:, 3]
+        slope = n @ planes[:, :3].T
+        gap = p @ planes[:, :3].T - planes[:, 3]
         t = -gap / slope
         enter = np.where(slope < 0, t, -np.inf).max(1).clip(0)
         leave = np.where(slope > 0, t, np.inf).min(1)
@@ -443,8 +457,7 @@ class TestReadMesh(unittest.TestCase):
         triangles = mut.read_mesh(shape, "it").triangles
         self.assertEqual(len(triangles), 2 * len(self.faces))
         hull = shape.GetConvexHull()
-        corners = np.unique(triangles.reshape(-1, 3).round(5), axis=0)
-        own = corners[ConvexHull(corners).vertices]
+        own = triangles.reshape(-1, 3)
         drake = np.array([hull.vertex(i) for i in range(hull.num_vertices())])
         gap = np.linalg.norm(drake[:, None] - own, axis=2).min(axis=1)
         self.assertLess(gap.max(), 1e-4)

@@ -20,6 +20,16 @@ def _project_on_segment(x, y, z, p, q):
 
 
 @njit(cache=True, error_model="numpy")
+def _subtract(p, q):
+    return p[0] - q[0], p[1] - q[1], p[2] - q[2]
+
+
+@njit(cache=True, error_model="numpy")
+def _cross(ux, uy, uz, vx, vy, vz):
+    return uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
+
+
+@njit(cache=True, error_model="numpy")
 def _gap2(a, b, s, t, c, d):
     """Returns the squared distance of the points at s on ab and t on cd."""
     total = 0.0
@@ -57,7 +67,7 @@ def _closest_on_segments(a, b, c, d):
     vx, vy, vz = d[0] - c[0], d[1] - c[1], d[2] - c[2]
     # The cross product keeps its digits for nearly parallel segments, where
     # the difference of the squared products loses all of them.
-    nx, ny, nz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
+    nx, ny, nz = _cross(ux, uy, uz, vx, vy, vz)
     n2 = nx * nx + ny * ny + nz * nz
     if n2 > 0.0:
         wx, wy, wz = c[0] - a[0], c[1] - a[1], c[2] - a[2]
@@ -127,7 +137,8 @@ def closest_capsules(a_p, a_q, a_r, b_p, b_q, b_r):
             bound[i, j] = gap - a_ball[i, 3] - b_ball[j, 3]
             if np.isnan(bound[i, j]):
                 # An unknown pair must not read as a far one.
-                return np.nan, i, j, np.full(3, np.nan), np.full(3, np.nan)
+                unknown = np.full(3, np.nan)
+                return np.nan, i, j, unknown, unknown.copy()
             if bound[i, j] < nearest or first_i < 0:
                 first_i, first_j, nearest = i, j, bound[i, j]
     distance = np.inf
@@ -151,28 +162,38 @@ def closest_capsules(a_p, a_q, a_r, b_p, b_q, b_r):
     p_B = np.full(3, np.nan)
     if best_i < 0:
         return distance, best_i, best_j, p_A, p_B
-    axis_a = a_q[best_i] - a_p[best_i]
-    axis_b = b_q[best_j] - b_p[best_j]
-    c_A = a_p[best_i] + best_s * axis_a
-    c_B = b_p[best_j] + best_t * axis_b
-    normal = c_B - c_A
-    length = np.sqrt(np.sum(normal * normal))
+    i, j = best_i, best_j
+    for k in range(3):
+        p_A[k] = a_p[i, k] + best_s * (a_q[i, k] - a_p[i, k])
+        p_B[k] = b_p[j, k] + best_t * (b_q[j, k] - b_p[j, k])
+    x, y, z = p_B[0] - p_A[0], p_B[1] - p_A[1], p_B[2] - p_A[2]
+    length = np.sqrt(x * x + y * y + z * z)
     if length == 0.0:
-        normal = np.cross(axis_a, axis_b)
-        length = np.sqrt(np.sum(normal * normal))
-    if length == 0.0:
-        axis = axis_a if np.sum(axis_a * axis_a) > 0.0 else axis_b
-        least = np.argmin(np.abs(axis))
-        unit = np.zeros(3)
-        unit[least] = 1.0
-        normal = np.cross(axis, unit)
-        length = np.sqrt(np.sum(normal * normal))
+        ux, uy, uz = _subtract(a_q[i], a_p[i])
+        vx, vy, vz = _subtract(b_q[j], b_p[j])
+        x, y, z = _cross(ux, uy, uz, vx, vy, vz)
+        length = np.sqrt(x * x + y * y + z * z)
         if length == 0.0:
-            normal, length = unit, 1.0
-    normal = normal / length
-    p_A = c_A + a_r[best_i] * normal
-    p_B = c_B - b_r[best_j] * normal
-    return distance, best_i, best_j, p_A, p_B
+            # Parallel, or one is a point: square to the longer one.
+            if ux * ux + uy * uy + uz * uz < vx * vx + vy * vy + vz * vz:
+                ux, uy, uz = vx, vy, vz
+            if abs(ux) < abs(uz):
+                x, y, z = _cross(ux, uy, uz, 1.0, 0.0, 0.0)
+            else:
+                x, y, z = _cross(ux, uy, uz, 0.0, 0.0, 1.0)
+            length = np.sqrt(x * x + y * y + z * z)
+        if length == 0.0:
+            # Two points.
+            x, y, z, length = 1.0, 0.0, 0.0, 1.0
+    step = a_r[i] / length
+    p_A[0] += step * x
+    p_A[1] += step * y
+    p_A[2] += step * z
+    step = b_r[j] / length
+    p_B[0] -= step * x
+    p_B[1] -= step * y
+    p_B[2] -= step * z
+    return distance, i, j, p_A, p_B
 
 
 @njit(cache=True, error_model="numpy")
@@ -195,6 +216,9 @@ def point_to_capsules(points, b_p, b_q, b_r):
         for j in range(b_r.shape[0]):
             t = _project_on_segment(p[0], p[1], p[2], b_p[j], b_q[j])
             gap2 = _gap2(p, p, 0.0, t, b_p[j], b_q[j])
+            for k in range(3):
+                # Comparisons hide a NaN; this brings it back.
+                gap2 += 0.0 * (b_p[j, k] + b_q[j, k])
             signed = np.sqrt(gap2) - b_r[j]
             if np.isnan(signed):
                 result[i] = np.nan

@@ -56,6 +56,7 @@ class RayBundles:
     """Length of each bundle's rays, m, shape (m,)."""
     active: np.ndarray
     """Whether a bundle is cast against a geometry, shape (m, geometries)."""
+    _caster: "RayCaster" = dc.field(repr=False)
     _packed: np.ndarray = dc.field(repr=False)
     _fan: np.ndarray = dc.field(repr=False)
     _cones: np.ndarray = dc.field(repr=False)
@@ -312,6 +313,7 @@ class RayCaster:
             frame_index=frame_index,
             max_range=max_range,
             active=active,
+            _caster=self,
             _packed=np.column_stack(
                 [X_FS.reshape(m, 12), max_range, frame_index]
             ),
@@ -346,8 +348,7 @@ class RayCaster:
                 finite.
         """
         X_WF = self._check_poses(X_WF)
-        if bundles.active.shape[1] != len(self._geometry_ids):
-            raise ValueError("bundles: made by another RayCaster")
+        self._check_bundles(bundles)
         status, distance, index = ray_kernels.cast_bundles(
             X_WF,
             self._scene,
@@ -432,8 +433,12 @@ class RayCaster:
 
         Returns:
             (p_WR, n_WR): origins and unit directions, both (m, k, 3).
+
+        Raises:
+            ValueError: If the bundles or poses do not fit.
         """
         X_WF = self._check_poses(X_WF)
+        self._check_bundles(bundles)
         R_WF = X_WF[bundles.frame_index, :, :3]
         R_WS = R_WF @ bundles.X_FS[:, :, :3]
         p_WS = X_WF[bundles.frame_index, :, 3] + np.einsum(
@@ -504,6 +509,10 @@ class RayCaster:
             else:
                 self._posed_frame_ids.append(frame_id)
         return row
+
+    def _check_bundles(self, bundles: RayBundles) -> None:
+        if bundles._caster is not self:
+            raise ValueError("bundles: made by another RayCaster")
 
     def _check_poses(self, X_WF: np.ndarray) -> np.ndarray:
         """Returns the poses as the kernels are compiled for."""

@@ -622,50 +622,60 @@ def cast_rays(X_WF, scene, active, p_WR, n_WR, reach):
 
 
 @njit(cache=True, error_model="numpy")
-def _write_normal(kind, a, b, c, q, dx, dy, dz, n):
-    """Writes the outward normal of a primitive at a point q of its surface.
+def _find_normal(kind, a, b, c, x, y, z, dx, dy, dz):
+    """Returns the direction of a primitive's normal at (x, y, z), in G.
 
     On an edge there are several; the one that faces the ray most is taken.
     """
-    n[:] = 0.0
     if kind == SPHERE:
-        n[:] = q
-    elif kind == CAPSULE:
-        n[:] = q
-        n[2] -= min(max(q[2], -b), b)
-    elif kind == ELLIPSOID:
-        n[0], n[1], n[2] = q[0] / (a * a), q[1] / (b * b), q[2] / (c * c)
-    elif kind == CYLINDER:
-        tube = np.sqrt(q[0] * q[0] + q[1] * q[1])
-        side, end = tube - a, abs(q[2]) - b
-        up = 1.0 if q[2] > 0.0 else -1.0
-        is_rim = abs(side - end) < _MARGIN * (a + b)
-        if is_rim:
-            is_end = up * dz < (q[0] * dx + q[1] * dy) / tube
+        return x, y, z
+    if kind == CAPSULE:
+        return x, y, z - min(max(z, -b), b)
+    if kind == ELLIPSOID:
+        return x / (a * a), y / (b * b), z / (c * c)
+    if kind == CYLINDER:
+        tube = np.sqrt(x * x + y * y)
+        side, end = tube - a, abs(z) - b
+        up = np.copysign(1.0, z)
+        if abs(side - end) < _MARGIN * (a + b):
+            is_end = up * dz < (x * dx + y * dy) / tube
         else:
             is_end = end > side
-        if is_end:
-            n[2] = up
-        else:
-            n[0], n[1] = q[0], q[1]
-    elif kind == BOX:
-        # The largest is 0 but for rounding; the others are negative.
-        x, y, z = abs(q[0]) - a, abs(q[1]) - b, abs(q[2]) - c
-        least = max(x, max(y, z)) - _MARGIN * (a + b + c)
-        facing = np.inf
-        axis = 0
-        if x >= least and np.copysign(dx, q[0] * dx) < facing:
-            axis, facing = 0, np.copysign(dx, q[0] * dx)
-        if y >= least and np.copysign(dy, q[1] * dy) < facing:
-            axis, facing = 1, np.copysign(dy, q[1] * dy)
-        if z >= least and np.copysign(dz, q[2] * dz) < facing:
-            axis = 2
-        n[axis] = 1.0 if q[axis] > 0.0 else -1.0
-    else:
-        n[2] = 1.0
-    length = np.sqrt(n[0] * n[0] + n[1] * n[1] + n[2] * n[2])
-    for i in range(3):
-        n[i] /= length
+        return (0.0, 0.0, up) if is_end else (x, y, 0.0)
+    if kind == BOX:
+        # How far the ray goes against each side's normal; the sides that the
+        # point is not on do not count.
+        ux, uy, uz = (
+            np.copysign(1.0, x),
+            np.copysign(1.0, y),
+            np.copysign(1.0, z),
+        )
+        rx, ry, rz = abs(x) - a, abs(y) - b, abs(z) - c
+        on = max(rx, max(ry, rz)) - _MARGIN * (a + b + c)
+        fx = -dx * ux if rx >= on else -np.inf
+        fy = -dy * uy if ry >= on else -np.inf
+        fz = -dz * uz if rz >= on else -np.inf
+        if fx >= fy and fx >= fz:
+            return ux, 0.0, 0.0
+        if fy >= fz:
+            return 0.0, uy, 0.0
+        return 0.0, 0.0, uz
+    return 0.0, 0.0, 1.0
+
+
+@njit(cache=True, error_model="numpy")
+def _find_triangle_normal(triangles, i, dx, dy, dz):
+    """Returns the direction of a triangle's normal that faces a ray."""
+    ux = triangles[i, 3] - triangles[i, 0]
+    uy = triangles[i, 4] - triangles[i, 1]
+    uz = triangles[i, 5] - triangles[i, 2]
+    vx = triangles[i, 6] - triangles[i, 0]
+    vy = triangles[i, 7] - triangles[i, 1]
+    vz = triangles[i, 8] - triangles[i, 2]
+    x, y, z = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
+    if x * dx + y * dy + z * dz > 0.0:
+        return -x, -y, -z
+    return x, y, z
 
 
 @njit(cache=True, error_model="numpy")
@@ -687,7 +697,7 @@ def calc_normals(X_WF, scene, p_WR, n_WR, distance, index):
     rays = p_WR.shape[0]
     normals = np.full((rays, 3), np.nan)
     X = np.empty((3, 4))
-    p, q, n = np.empty(3), np.empty(3), np.empty(3)
+    p = np.empty(3)
     stack = np.empty((2, STACK))
     for i in range(rays):
         s = index[i]
@@ -705,36 +715,28 @@ def calc_normals(X_WF, scene, p_WR, n_WR, distance, index):
             _, part = cast_convex(planes, first, last, p, dx, dy, dz)
             if part < 0:
                 continue
-            n[:] = planes[part, :3]
+            x, y, z = planes[part, 0], planes[part, 1], planes[part, 2]
         elif kind == MESH:
             _, part = cast_mesh(
                 nodes, triangles, first, p, dx, dy, dz, np.inf, stack
             )
             if part < 0:
                 continue
-            u = triangles[part, 3:6] - triangles[part, :3]
-            v = triangles[part, 6:] - triangles[part, :3]
-            n[0] = u[1] * v[2] - u[2] * v[1]
-            n[1] = u[2] * v[0] - u[0] * v[2]
-            n[2] = u[0] * v[1] - u[1] * v[0]
-            length = np.sqrt(n[0] * n[0] + n[1] * n[1] + n[2] * n[2])
-            if n[0] * dx + n[1] * dy + n[2] * dz > 0.0:
-                length = -length
-            for j in range(3):
-                n[j] /= length
+            x, y, z = _find_triangle_normal(triangles, part, dx, dy, dz)
         else:
-            q[0], q[1], q[2] = p[0] + t * dx, p[1] + t * dy, p[2] + t * dz
-            _write_normal(
+            x, y, z = _find_normal(
                 kind,
                 shapes[s, SIZE],
                 shapes[s, SIZE + 1],
                 shapes[s, SIZE + 2],
-                q,
+                p[0] + t * dx,
+                p[1] + t * dy,
+                p[2] + t * dz,
                 dx,
                 dy,
                 dz,
-                n,
             )
+        length = np.sqrt(x * x + y * y + z * z)
         for j in range(3):
-            normals[i, j] = X[j, 0] * n[0] + X[j, 1] * n[1] + X[j, 2] * n[2]
+            normals[i, j] = (X[j, 0] * x + X[j, 1] * y + X[j, 2] * z) / length
     return normals
