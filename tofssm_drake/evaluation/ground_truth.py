@@ -216,8 +216,14 @@ def calc_truth(
     for i in range(g):
         _pose_point(X_WA[link[i]], p_AP[i], p_WP[i])
         _pose_point(X_WA[link[i]], p_AQ[i], p_WQ[i])
-    part_p = np.ascontiguousarray(ends[:, 0])
-    part_q = np.ascontiguousarray(ends[:, 1])
+    # Loops instead of slices: they compile in a fraction of the time.
+    c = part_radius.shape[0]
+    part_p = np.empty((c, 3))
+    part_q = np.empty((c, 3))
+    for j in range(c):
+        for k in range(3):
+            part_p[j, k] = ends[j, 0, k]
+            part_q[j, k] = ends[j, 1, k]
 
     m = site_link.shape[0] - 1
     truth = np.empty(16 + 3 * m)
@@ -225,15 +231,16 @@ def calc_truth(
         p_WP, p_WQ, radius, part_p, part_q, part_radius
     )
     truth[0] = d
-    truth[1:4] = p_WR
-    truth[4:7] = p_WH
+    for k in range(3):
+        truth[1 + k] = p_WR[k]
+        truth[4 + k] = p_WH[k]
     truth[7] = -1 if i < 0 else body[i]
     truth[8] = j
     truth[9] = 0.0
     if d <= 0.0:
         touching = False
         for i in range(g):
-            for j in range(part_radius.shape[0]):
+            for j in range(c):
                 d, p_WR = _measure(
                     p_WP, p_WQ, radius, i, part_p, part_q, part_radius, j
                 )
@@ -248,13 +255,16 @@ def calc_truth(
     X_WS = np.empty((m + 1, 3, 4))
     v_WS = np.empty((m + 1, 3))
     calc_sites(X_WB, X_PJ, site_link, X_AS, q, qd, X_WS, v_WS)
-    truth[10:13] = X_WS[m, :, 3]
-    truth[13] = np.sqrt(np.sum(v_WS[m] * v_WS[m]))
-    if part_radius.shape[0]:
+    for k in range(3):
+        truth[10 + k] = X_WS[m, k, 3]
+    vx, vy, vz = v_WS[m, 0], v_WS[m, 1], v_WS[m, 2]
+    truth[13] = np.sqrt(vx * vx + vy * vy + vz * vz)
+    if c:
         truth[14] = 0.5 * (part_p[pelvis, 0] + part_q[pelvis, 0])
         truth[15] = 0.5 * (part_p[pelvis, 1] + part_q[pelvis, 1])
     else:
-        truth[14:16] = np.nan
+        truth[14] = np.nan
+        truth[15] = np.nan
     for k in range(m):
         X = X_WS[k]
         # The surface's nearest point lies in the direction of the axis'.
@@ -266,7 +276,7 @@ def calc_truth(
         z = X[0, 2] * v0 + X[1, 2] * v1 + X[2, 2] * v2
         truth[16 + k] = d
         truth[16 + m + k] = np.arctan2(y, x)
-        truth[16 + 2 * m + k] = np.arctan2(z, np.hypot(x, y))
+        truth[16 + 2 * m + k] = np.arctan2(z, np.sqrt(x * x + y * y))
     return truth
 
 
