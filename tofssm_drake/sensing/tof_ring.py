@@ -85,7 +85,6 @@ def make_ring_bundles(
     frame_id: FrameId,
     X_FS: Sequence[RigidTransform],
     excluded: Collection[GeometryId] = (),
-    margin: float = 0.0,
 ) -> RayBundles:
     """Makes the rays of one ring.
 
@@ -95,7 +94,6 @@ def make_ring_bundles(
         frame_id: the frame F of the link that carries the ring.
         X_FS: the sensors' poses in F; x is the axis of the beam.
         excluded: what no sensor of the ring sees: the link that carries it.
-        margin: cast this much farther than the sensors measure, m.
     """
     return caster.make_bundles(
         frame_id=frame_id,
@@ -103,7 +101,7 @@ def make_ring_bundles(
         fan_S=make_cone_fan(
             math.radians(config.fov_deg), config.rays_per_sensor
         ),
-        max_range=calc_cast_range(config.sensor) + margin,
+        max_range=calc_cast_range(config.sensor),
         excluded=[excluded] * len(X_FS),
     )
 
