@@ -29,7 +29,7 @@ class SimUr10Config:
     """Dynamics and controller of the simulated robot."""
 
     # Time step of the dynamics, s. The control tick must be a multiple of it.
-    time_step: float = 0.004
+    time_step: float = 0.008
 
     # Natural frequency of the joint controller's error, rad/s, critically
     # damped (assumed: UR publishes nothing about its controller).
