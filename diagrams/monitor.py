@@ -79,6 +79,7 @@ def make_monitor(scenario: Scenario) -> Diagram:
         "separation",
         TofSeparation(
             config=scenario.separation,
+            k_max=scenario.ssm.k_omax,
             kinematics=kinematics,
             geometries=geometries,
         ),
@@ -89,11 +90,15 @@ def make_monitor(scenario: Scenario) -> Diagram:
             separation.GetInputPort(f"masked_scan_{name}"),
         )
     dsi_filter = builder.AddNamedSystem(
-        "dsi_filter", DsiFilter(config=scenario.ssm)
+        "dsi_filter",
+        DsiFilter(config=scenario.ssm, period=scenario.control_period),
     )
     state = builder.AddNamedSystem("tri_ssm", TriSsmState(config=scenario.ssm))
     trajectory = builder.AddNamedSystem(
-        "speed_fraction", SpeedFractionTrajectory(config=scenario.ssm)
+        "speed_fraction",
+        SpeedFractionTrajectory(
+            config=scenario.ssm, period=scenario.control_period
+        ),
     )
     builder.Connect(
         separation.GetOutputPort("separation"),
@@ -132,17 +137,13 @@ def _add_mask(builder, scenario, scene_graph, plant, kinematics):
         OcclusionMask(
             config=scenario.mask,
             caster=caster,
-            bundles=[
-                make_mask_bundles(
-                    config=scenario.mask,
-                    ring_config=scenario.rings,
-                    caster=caster,
-                    frame_id=mount.frame_id,
-                    X_FS=mount.X_FS,
-                    excluded=mount.geometry_ids,
-                )
-                for mount in mounts
-            ],
+            period=scenario.control_period,
+            bundles=make_mask_bundles(
+                config=scenario.mask,
+                ring_config=scenario.rings,
+                caster=caster,
+                mounts=mounts,
+            ),
             # After the bundles, which may add frames to the caster's.
             twin=TwinPoses.from_plant(
                 plant,

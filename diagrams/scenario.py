@@ -20,7 +20,7 @@ from tofssm_drake.robot.program import ProgramConfig
 from tofssm_drake.robot.sim_ur10 import SimUr10Config
 from tofssm_drake.sensing.occlusion_mask import OcclusionMaskConfig
 from tofssm_drake.sensing.separation import SeparationConfig
-from tofssm_drake.sensing.tof_ring import TofRingConfig
+from tofssm_drake.sensing.tof_rings import TofRingConfig
 from tofssm_drake.ssm.config import SsmConfig
 
 

@@ -2,6 +2,7 @@
 
 import dataclasses as dc
 
+import numpy as np
 from pydrake.common import RandomDistribution
 from pydrake.geometry import SceneGraph
 from pydrake.multibody.plant import MultibodyPlant
@@ -26,8 +27,8 @@ from tofssm_drake.robot.sim_ur10 import make_sim_ur10
 from tofssm_drake.robot.twin import make_cell_plant
 from tofssm_drake.sensing.ring_mount import find_ring_mount
 from tofssm_drake.sensing.scene_poses import ScenePoses
-from tofssm_drake.sensing.tof_ring import TofRing, make_ring_bundles
-from tofssm_drake.sensing.vl53l1x import NOISE_DRAWS, draw_sensor_errors
+from tofssm_drake.sensing.tof_rings import TofRings, make_ring_bundles
+from tofssm_drake.sensing.vl53l1x import SensorErrors, draw_sensor_errors
 
 
 @dc.dataclass(frozen=True, eq=False, kw_only=True)
@@ -86,7 +87,11 @@ def make_station(scenario: Scenario) -> Station:
 
     program = builder.AddNamedSystem(
         "program",
-        PickAndPlaceProgram(config=scenario.program, kinematics=kinematics),
+        PickAndPlaceProgram(
+            config=scenario.program,
+            kinematics=kinematics,
+            period=scenario.control_period,
+        ),
     )
     robot, _ = make_sim_ur10(
         config=scenario.robot,
@@ -203,44 +208,57 @@ def _add_avatar(builder, scenario, scene_graph):
 
 
 def _add_rings(builder, scenario, scene_graph, plant, caster):
-    """Adds the rings and their noise, exports the scans, returns the rings."""
+    """Adds the rings with their noise, exports the scans, returns the rings.
+
+    Rings of one phase sample together, in one system.
+    """
     inspector = scene_graph.model_inspector()
-    rings = []
-    for index, (name, phase) in enumerate(
-        zip(RINGS, scenario.ring_phases, strict=True)
-    ):
-        mount = find_ring_mount(plant, inspector, name)
-        n = len(mount.X_FS)
-        ring = builder.AddNamedSystem(
-            f"ring_{name}",
-            TofRing(
+    systems = []
+    for phase in sorted(set(scenario.ring_phases)):
+        index = [i for i, p in enumerate(scenario.ring_phases) if p == phase]
+        names = tuple(RINGS[i] for i in index)
+        errors = [
+            draw_sensor_errors(
+                scenario.rings.sensor,
+                sensors=scenario.sensors_per_ring,
+                seed=scenario.random_seed,
+                ring=i,
+            )
+            for i in index
+        ]
+        rings = builder.AddNamedSystem(
+            "rings_" + "_".join(names),
+            TofRings(
                 config=scenario.rings,
                 caster=caster,
                 bundles=make_ring_bundles(
                     config=scenario.rings,
                     caster=caster,
-                    frame_id=mount.frame_id,
-                    X_FS=mount.X_FS,
-                    excluded=mount.geometry_ids,
+                    mounts=[
+                        find_ring_mount(plant, inspector, name)
+                        for name in names
+                    ],
                 ),
-                errors=draw_sensor_errors(
-                    scenario.rings.sensor,
-                    sensors=n,
-                    seed=scenario.random_seed,
-                    ring=index,
+                errors=SensorErrors(
+                    bias=np.concatenate([e.bias for e in errors]),
+                    gain=np.concatenate([e.gain for e in errors]),
                 ),
                 phase=phase,
+                name=names,
             ),
         )
         noise = builder.AddNamedSystem(
-            f"noise_{name}",
+            f"noise_{'_'.join(names)}",
             RandomSource(
                 distribution=RandomDistribution.kGaussian,
-                num_outputs=n * NOISE_DRAWS,
+                num_outputs=rings.GetInputPort("noise").size(),
                 sampling_interval_sec=scenario.rings.period,
             ),
         )
-        builder.Connect(noise.get_output_port(), ring.GetInputPort("noise"))
-        builder.ExportOutput(ring.GetOutputPort("scan"), f"scan_{name}")
-        rings.append(ring)
-    return rings
+        builder.Connect(noise.get_output_port(), rings.GetInputPort("noise"))
+        for name in names:
+            builder.ExportOutput(
+                rings.GetOutputPort(f"scan_{name}"), f"scan_{name}"
+            )
+        systems.append(rings)
+    return systems

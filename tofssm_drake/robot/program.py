@@ -7,6 +7,7 @@ rho in [0, 1] scales the rate of s and nothing else, as a robot's speed slider
 does: the path itself can not change.
 """
 
+import bisect
 import dataclasses as dc
 import functools
 
@@ -94,9 +95,6 @@ class ProgramConfig:
     # pick table, deg about the world's z.
     pick_yaw: float = 180.0
 
-    # Period of the robot's control tick, s (UR10 CB3: 125 Hz).
-    period: float = 0.008
-
     def check(self, where: str) -> None:
         """Raises UserError with one line if a setting is out of range."""
         require(self.products >= 1, f"{where}.products: must be at least 1")
@@ -111,7 +109,6 @@ class ProgramConfig:
             "arm_jerk",
             "approach_speed",
             "approach_height",
-            "period",
         ):
             require(
                 getattr(self, name) > 0,
@@ -269,10 +266,10 @@ class ProgramPath:
     """q, q', q'', q''' at each start, (p, 4, 6)."""
     duration: float
     """Path time at the end, s."""
-    close_time: np.ndarray
-    """When the gripper closes on each product, s, (n,)."""
-    open_time: np.ndarray
-    """When it lets go of it, s, (n,)."""
+    close_time: tuple[float, ...]
+    """When the gripper closes on each product, s."""
+    open_time: tuple[float, ...]
+    """When it lets go of it, s."""
 
     def calc_motion(self, s: float) -> np.ndarray:
         """Returns q, q', q'' at path time s, (3, 6); q' = dq/ds."""
@@ -282,11 +279,11 @@ class ProgramPath:
 
     def calc_products_placed(self, s: float) -> int:
         """Returns how many products were let go of up to path time s."""
-        return int(np.searchsorted(self.open_time, s, side="right"))
+        return bisect.bisect_right(self.open_time, s)
 
     def calc_gripper_closed(self, s: float) -> bool:
         """Returns whether the gripper is closed at path time s."""
-        closed = int(np.searchsorted(self.close_time, s, side="right"))
+        closed = bisect.bisect_right(self.close_time, s)
         return closed > self.calc_products_placed(s)
 
 
@@ -440,8 +437,8 @@ def make_program_path(
         start=np.array(path.start),
         coefficients=np.array(path.coefficients),
         duration=duration,
-        close_time=np.array(close_time),
-        open_time=np.array(open_time),
+        close_time=tuple(close_time),
+        open_time=tuple(open_time),
     )
 
 
@@ -478,17 +475,26 @@ class PickAndPlaceProgram(LeafSystem):
     Args:
         config: Settings; checked.
         kinematics: Of the robot in its cell.
+        period: Control tick, s.
     """
 
-    def __init__(self, *, config: ProgramConfig, kinematics: RingKinematics):
+    def __init__(
+        self,
+        *,
+        config: ProgramConfig,
+        kinematics: RingKinematics,
+        period: float = 0.008,
+    ):
         super().__init__()
         self._path = make_program_path(config, kinematics)
-        self._period = config.period
+        self._period = period
         self._speed_fraction = self.DeclareVectorInputPort("speed_fraction", 1)
         # Path time, its rate, the rate's change, time of the tick.
-        state = self.DeclareDiscreteState(4)
-        tick = {self.discrete_state_ticket(state)}
-        motion = tick | {self.time_ticket()}
+        self._progress = self.DeclareDiscreteState(4)
+        motion = {
+            self.discrete_state_ticket(self._progress),
+            self.time_ticket(),
+        }
         self._motion = self.DeclareVectorOutputPort(
             "motion_commanded", 18, self._calc_motion, motion
         )
@@ -499,16 +505,16 @@ class PickAndPlaceProgram(LeafSystem):
                 functools.partial(self._calc_part, part=i),
                 motion,
             )
-        self.DeclareVectorOutputPort(
-            "gripper_closed", 1, self._calc_gripper_closed, tick
-        )
-        self.DeclareVectorOutputPort(
-            "products_placed", 1, self._calc_products_placed, tick
-        )
-        self.DeclareVectorOutputPort("task_done", 1, self._calc_task_done, tick)
-        self.DeclarePeriodicDiscreteUpdateEvent(
-            config.period, 0.0, self._update
-        )
+        self._gripper_closed = self.DeclareDiscreteState(1)
+        self._products_placed = self.DeclareDiscreteState(1)
+        self._task_done = self.DeclareDiscreteState(1)
+        for name, index in (
+            ("gripper_closed", self._gripper_closed),
+            ("products_placed", self._products_placed),
+            ("task_done", self._task_done),
+        ):
+            self.DeclareStateOutputPort(name, index)
+        self.DeclarePeriodicDiscreteUpdateEvent(period, 0.0, self._update)
 
     @property
     def path(self) -> ProgramPath:
@@ -517,14 +523,14 @@ class PickAndPlaceProgram(LeafSystem):
 
     def get_path_time(self, context: Context) -> float:
         """Returns path time at the last tick, s."""
-        return float(context.get_discrete_state_vector().value()[0])
+        return float(context.get_discrete_state(self._progress).value()[0])
 
     def _calc_motion(self, context: Context, output: BasicVector) -> None:
         output.SetFromVector(
             calc_motion_commanded(
                 self._path.start,
                 self._path.coefficients,
-                context.get_discrete_state_vector().value(),
+                context.get_discrete_state(self._progress).value(),
                 context.get_time(),
                 self._period,
             )
@@ -536,24 +542,8 @@ class PickAndPlaceProgram(LeafSystem):
         motion = self._motion.Eval(context)
         output.SetFromVector(motion[6 * part : 6 * part + 6])
 
-    def _calc_gripper_closed(
-        self, context: Context, output: BasicVector
-    ) -> None:
-        s = self.get_path_time(context)
-        output.SetFromVector([float(self._path.calc_gripper_closed(s))])
-
-    def _calc_products_placed(
-        self, context: Context, output: BasicVector
-    ) -> None:
-        s = self.get_path_time(context)
-        output.SetFromVector([float(self._path.calc_products_placed(s))])
-
-    def _calc_task_done(self, context: Context, output: BasicVector) -> None:
-        done = self.get_path_time(context) >= self._path.duration
-        output.SetFromVector([float(done)])
-
     def _update(self, context: Context, discrete_state: DiscreteValues) -> None:
-        state = context.get_discrete_state_vector().value()
+        state = context.get_discrete_state(self._progress).value()
         time = context.get_time()
         s, rate, _ = advance_path_time(state, time, self._period)
         s = min(s, self._path.duration)
@@ -561,4 +551,14 @@ class PickAndPlaceProgram(LeafSystem):
         # Not a number fails both comparisons and stops the robot.
         wanted = min(wanted, 1.0) if wanted > 0.0 else 0.0
         change = (wanted - rate) / self._period
-        discrete_state.set_value(np.array([s, rate, change, time]))
+        discrete_state.set_value(
+            self._progress, np.array([s, rate, change, time])
+        )
+        if rate > 0.0:
+            path = self._path
+            for index, value in (
+                (self._gripper_closed, path.calc_gripper_closed(s)),
+                (self._products_placed, path.calc_products_placed(s)),
+                (self._task_done, s >= path.duration),
+            ):
+                discrete_state.set_value(index, [float(value)])

@@ -1,6 +1,6 @@
 """The occlusion mask: which sensors see the robot itself or its cell."""
 
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 import dataclasses as dc
 import functools
 import math
@@ -9,8 +9,6 @@ from typing import Protocol
 from numba import njit
 import numpy as np
 from pydrake.common.value import Value
-from pydrake.geometry import FrameId, GeometryId
-from pydrake.math import RigidTransform
 from pydrake.systems.framework import (
     Context,
     DiscreteValues,
@@ -19,7 +17,6 @@ from pydrake.systems.framework import (
     State,
 )
 
-from tofssm_drake.errors import require
 from tofssm_drake.geometry.fan import make_cone_fan
 from tofssm_drake.geometry.ray_caster import RayBundles, RayCaster
 from tofssm_drake.messages import RINGS, MaskedScan, Reading, RingScan
@@ -27,7 +24,8 @@ from tofssm_drake.sensing.readings import (
     calc_self_interval,
     classify_readings,
 )
-from tofssm_drake.sensing.tof_ring import TofRingConfig
+from tofssm_drake.sensing.ring_mount import RingMount
+from tofssm_drake.sensing.tof_rings import TofRingConfig
 from tofssm_drake.sensing.vl53l1x import (
     STATUS_NO_NEW_DATA,
     calc_cast_range,
@@ -75,9 +73,6 @@ class OcclusionMaskConfig:
     # three periods of a ring).
     max_age: float = 0.072
 
-    # Control tick, s: joints are remembered and scans looked at once a tick.
-    period: float = 0.008
-
     @property
     def tolerance(self) -> float:
         """By how much the expected interval is widened to each side, m."""
@@ -92,12 +87,6 @@ class OcclusionMaskConfig:
         check_range(where, "min_range", self.min_range, 0.0, 0.2)
         check_range(where, "max_range", self.max_range, 0.1, 65.0)
         check_range(where, "max_age", self.max_age, 0.001, 10.0)
-        check_range(where, "period", self.period, 1e-4, 0.1)
-        require(
-            self.max_age >= self.period,
-            f"{where}.max_age: {self.max_age} is shorter than the control "
-            f"tick of {self.period}",
-        )
 
 
 def make_mask_bundles(
@@ -105,27 +94,25 @@ def make_mask_bundles(
     config: OcclusionMaskConfig,
     ring_config: TofRingConfig,
     caster: RayCaster,
-    frame_id: FrameId,
-    X_FS: Sequence[RigidTransform],
-    excluded: Collection[GeometryId] = (),
+    mounts: Sequence[RingMount],
 ) -> RayBundles:
-    """Makes the rays of one ring's mask, cast on the twin.
+    """Makes the rays of all rings' masks, cast on the twin in one go.
 
     Args:
         config: number of rays, tolerance.
         ring_config: field of view and range of the sensors, number of rays.
         caster: of the twin's SceneGraph.
-        frame_id: the twin's frame F of the link that carries the ring.
-        X_FS: the sensors' poses in F.
-        excluded: the twin's geometries that no sensor of the ring sees: the
-            link that carries it.
+        mounts: the rings on the twin; no sensor sees the link that carries it.
+
+    Returns:
+        One bundle per sensor, ring by ring.
     """
     return caster.make_bundles(
-        frame_id=frame_id,
-        X_FS=X_FS,
+        frame_id=[mount.frame_id for mount in mounts for _ in mount.X_FS],
+        X_FS=[X for mount in mounts for X in mount.X_FS],
         fan_S=make_mask_fan(config, ring_config),
         max_range=calc_cast_range(ring_config.sensor) + config.tolerance,
-        excluded=[excluded] * len(X_FS),
+        excluded=[mount.geometry_ids for mount in mounts for _ in mount.X_FS],
     )
 
 
@@ -299,22 +286,79 @@ def pick_previous(
     return distance, time
 
 
+class TwinView:
+    """What all sensors would see of the robot itself and its cell.
+
+    Rings that sampled at the same time share one look.
+    """
+
+    def __init__(
+        self,
+        *,
+        enabled: bool,
+        caster: RayCaster,
+        bundles: RayBundles,
+        twin: Twin,
+        table: np.ndarray,
+    ):
+        """Constructs the view.
+
+        Args:
+            enabled: False: nothing is ever seen.
+            caster: of the twin.
+            bundles: the rays of all sensors, see `make_mask_bundles`.
+            twin: gives the poses that the caster needs.
+            table: the robot's reports, see `make_robot_history`.
+        """
+        self.num_sensors = bundles.num_bundles
+        self._enabled = enabled
+        self._caster = caster
+        self._bundles = bundles
+        self._twin = twin
+        self._table = table
+        self._looks = {}
+
+    def look(self, time: float) -> tuple[np.ndarray, np.ndarray]:
+        """Casts all rays at the robot as it was at a time.
+
+        Args:
+            time: s.
+
+        Returns:
+            Distances along the rays, m, (sensors, k), and the robot's report
+            for that time, (15,).
+        """
+        if time not in self._looks:
+            report = interpolate_reports(self._table, time)
+            if self._enabled:
+                self_distance, _ = self._caster.cast_bundles(
+                    self._bundles,
+                    self._twin.calc(
+                        report[_POSITION],
+                        report[_GRIPPER_CLOSED],
+                        report[_PRODUCTS_PLACED],
+                    ),
+                )
+            else:
+                self_distance = np.full((self.num_sensors, 1), np.inf)
+            self._looks[time] = self_distance, report
+        return self._looks[time]
+
+
 def mask_scan(
     config: OcclusionMaskConfig,
     *,
     scan: RingScan,
     before: MaskedScan,
     time: float,
-    table: np.ndarray,
-    caster: RayCaster,
-    bundles: RayBundles,
-    twin: Twin,
+    view: TwinView,
+    rows: slice,
 ) -> MaskedScan:
     """Tells what each reading of a new scan means.
 
-    Casts each sensor's rays on the twin, posed as the robot was at the
-    sample's own time, and compares (paper, Self Occlusion Detection; table
-    in `tofssm_drake.sensing.readings`). What would be valid is compared again
+    Looks at the twin as the robot was at the sample's own time, and compares
+    (paper, Self Occlusion Detection; table in
+    `tofssm_drake.sensing.readings`). What would be valid is compared again
     with the robot as it was a little earlier and later.
 
     Args:
@@ -322,10 +366,8 @@ def mask_scan(
         scan: the new scan of n sensors.
         before: the result for the scan before it.
         time: now, s.
-        table: the robot's reports, see `make_robot_history`.
-        caster: of the twin.
-        bundles: the rays of the ring's n sensors, by that caster.
-        twin: gives the poses that the caster needs.
+        view: what all sensors would see of the robot itself.
+        rows: the ring's n sensors among those of the view.
 
     Returns:
         The masked scan. Its `scan` is as the monitor reckons with it: 0 m for
@@ -333,9 +375,9 @@ def mask_scan(
         there is no new data.
     """
     n = len(scan.status)
-    if n != bundles.num_bundles:
+    if n != rows.stop - rows.start:
         raise ValueError(
-            f"scan of {n} sensors, but the mask has {bundles.num_bundles}"
+            f"scan of {n} sensors, but the mask has {rows.stop - rows.start}"
         )
     one_time, some_held = inspect_scan(scan.sensor_time, scan.status)
     if some_held:
@@ -344,16 +386,8 @@ def mask_scan(
     if before.reading.shape != (n,):
         before = _make_nothing_before(n)
 
-    def cast(time_shift):
-        return _cast_on_twin(
-            config,
-            scan.sensor_time + time_shift if time_shift else scan.sensor_time,
-            one_time,
-            table,
-            caster,
-            bundles,
-            twin,
-        )
+    def look(shift):
+        return _look_at_own_times(view, rows, scan.sensor_time, one_time, shift)
 
     def interpret(self_distance):
         return _interpret(
@@ -374,13 +408,13 @@ def mask_scan(
             config.max_age,
         )
 
-    self_distance, reports = cast(0.0)
+    self_distance, reports = look(0.0)
     result = interpret(self_distance)
     if config.enabled and config.time_margin > 0.0 and result[-1]:
-        # A wider look can only turn valid readings into masked ones of a
-        # robot that moves, so it is left for then.
-        early, _ = cast(-config.time_margin)
-        late, _ = cast(config.time_margin)
+        # A wider look can only turn valid readings into masked ones, so it is
+        # left for when there are any.
+        early, _ = look(-config.time_margin)
+        late, _ = look(config.time_margin)
         result = interpret(np.hstack([self_distance, early, late]))
     (
         reading,
@@ -420,41 +454,31 @@ def _make_nothing_before(n):
     )
 
 
-def _cast_on_twin(config, sensor_time, one_time, table, caster, bundles, twin):
-    """Casts each sensor's rays at the robot as it was at the sensor's time.
+def _look_at_own_times(view, rows, sensor_time, one_time, shift):
+    """Returns what each sensor would see at its own time, shifted.
 
     Returns:
         Distances along the rays, m, (n, k), and the robot's report for each
         sensor's time, (n, 15); one row if it is the same for all.
     """
-    n = len(sensor_time)
-
-    def cast(report):
-        if not config.enabled:
-            return np.full((n, 1), np.inf)
-        return caster.cast_bundles(
-            bundles,
-            twin.calc(
-                report[_POSITION],
-                report[_GRIPPER_CLOSED],
-                report[_PRODUCTS_PLACED],
-            ),
-        )[0]
-
     if one_time:
-        report = interpolate_reports(table, sensor_time[0])
-        return cast(report), report[None]
+        self_distance, report = view.look(sensor_time[0] + shift)
+        return self_distance[rows], report[None]
 
+    n = len(sensor_time)
     reports = np.zeros((n, _COLUMNS))
-    self_distance = np.full((n, len(bundles.fan_S)), np.inf)
+    self_distance = None
     todo = np.isfinite(sensor_time)
     while todo.any():
         time = sensor_time[np.argmax(todo)]
         now = sensor_time == time
         todo &= ~now
-        report = interpolate_reports(table, time)
-        reports[now] = report
-        self_distance[now] = cast(report)[now]
+        seen, reports[now] = view.look(time + shift)
+        if self_distance is None:
+            self_distance = np.full((n, seen.shape[1]), np.inf)
+        self_distance[now] = seen[rows][now]
+    if self_distance is None:
+        self_distance = np.full((n, 1), np.inf)
     return self_distance, reports
 
 
@@ -528,16 +552,6 @@ def _interpret(
     )
 
 
-@dc.dataclass(frozen=True, eq=False)
-class _MaskedScans:
-    """The last of each ring, in one piece: cheap to copy."""
-
-    of_ring: tuple[MaskedScan, ...]
-
-    def __deepcopy__(self, memo):
-        return self
-
-
 class OcclusionMask(LeafSystem):
     """Tells the robot and its cell from everything else in the rings' scans.
 
@@ -570,8 +584,9 @@ class OcclusionMask(LeafSystem):
         self,
         *,
         config: OcclusionMaskConfig,
+        period: float = 0.008,
         caster: RayCaster,
-        bundles: Sequence[RayBundles],
+        bundles: RayBundles,
         twin: Twin,
         name: tuple[str, ...] = RINGS,
     ):
@@ -579,21 +594,28 @@ class OcclusionMask(LeafSystem):
 
         Args:
             config: settings.
+            period: control tick, s.
             caster: of the twin's SceneGraph.
-            bundles: each ring's rays by that caster, see `make_mask_bundles`.
+            bundles: the rings' rays by that caster, see `make_mask_bundles`;
+                as many for each ring.
             twin: gives the poses of `caster.frame_ids`.
             name: the rings, in the order of `bundles`.
 
         Raises:
             UserError: if a setting is out of range.
+            ValueError: if the rays do not suit the rings.
         """
         super().__init__()
         config.check("mask")
-        if len(bundles) != len(name):
-            raise ValueError(f"bundles: {len(bundles)} for {len(name)} rings")
+        n, rest = divmod(bundles.num_bundles, len(name))
+        if n == 0 or rest:
+            raise ValueError(
+                f"bundles: {bundles.num_bundles} for {len(name)} rings"
+            )
         self._config = config
         self._caster = caster
-        self._bundles = tuple(bundles)
+        self._bundles = bundles
+        self._rows = [slice(n * i, n * i + n) for i in range(len(name))]
         self._twin = twin
         self._scans = [
             self.DeclareAbstractInputPort(f"scan_{ring}", Value(RingScan()))
@@ -606,34 +628,19 @@ class OcclusionMask(LeafSystem):
             "products_placed", 1
         )
         # A sample that is not stale lies within the history.
-        length = math.ceil(config.max_age / config.period) + 2
+        length = math.ceil(config.max_age / period) + 2
         self._history = self.DeclareDiscreteState(
             make_robot_history(length).ravel()
         )
-        self._masked_scans = self.DeclareAbstractState(
-            Value(_MaskedScans((MaskedScan(),) * len(name)))
-        )
-        for index, ring in enumerate(name):
-            self.DeclareAbstractOutputPort(
-                f"masked_scan_{ring}",
-                Value(MaskedScan()).Clone,
-                functools.partial(self._calc_masked_scan, index=index),
-                prerequisites_of_calc={
-                    self.abstract_state_ticket(self._masked_scans)
-                },
-            )
+        self._masked_scans = [
+            self.DeclareAbstractState(Value(MaskedScan())) for _ in name
+        ]
+        for ring, index in zip(name, self._masked_scans, strict=True):
+            self.DeclareStateOutputPort(f"masked_scan_{ring}", index)
         # Two events: most ticks bring no scan, and what follows from the
         # masked scans is then not computed again.
-        self.DeclarePeriodicUnrestrictedUpdateEvent(
-            config.period, 0.0, self._mask
-        )
-        self.DeclarePeriodicDiscreteUpdateEvent(
-            config.period, 0.0, self._remember
-        )
-
-    def _calc_masked_scan(self, context: Context, output, index: int):
-        masked_scans = context.get_abstract_state(self._masked_scans)
-        output.set_value(masked_scans.get_value().of_ring[index])
+        self.DeclarePeriodicUnrestrictedUpdateEvent(period, 0.0, self._mask)
+        self.DeclarePeriodicDiscreteUpdateEvent(period, 0.0, self._remember)
 
     def _push_report(self, context: Context) -> np.ndarray:
         """Returns the history with the present report added."""
@@ -653,26 +660,36 @@ class OcclusionMask(LeafSystem):
         )
 
     def _mask(self, context: Context, state: State):
-        value = state.get_mutable_abstract_state(self._masked_scans)
-        masked_scans = list(value.get_value().of_ring)
-        table = None
-        for i, port in enumerate(self._scans):
+        values = [
+            state.get_mutable_abstract_state(index)
+            for index in self._masked_scans
+        ]
+        view = None
+        for value, port, rows in zip(
+            values, self._scans, self._rows, strict=True
+        ):
             scan = port.Eval(context)
-            if scan.sequence == masked_scans[i].scan.sequence:
+            before = value.get_value()
+            if scan.sequence == before.scan.sequence:
                 continue
-            if table is None:
-                table = self._push_report(context)
-            masked_scans[i] = mask_scan(
-                self._config,
-                scan=scan,
-                before=masked_scans[i],
-                time=context.get_time(),
-                table=table,
-                caster=self._caster,
-                bundles=self._bundles[i],
-                twin=self._twin,
+            if view is None:
+                view = TwinView(
+                    enabled=self._config.enabled,
+                    caster=self._caster,
+                    bundles=self._bundles,
+                    twin=self._twin,
+                    table=self._push_report(context),
+                )
+            value.set_value(
+                mask_scan(
+                    self._config,
+                    scan=scan,
+                    before=before,
+                    time=context.get_time(),
+                    view=view,
+                    rows=rows,
+                )
             )
-        if table is None:
+        if view is None:
             return EventStatus.DidNothing()
-        value.set_value(_MaskedScans(tuple(masked_scans)))
         return EventStatus.Succeeded()

@@ -29,9 +29,6 @@ _FAULTED = int(Reading.FAULTED)
 class SeparationConfig:
     """How distances and directed speeds follow from masked scans."""
 
-    # Greatest directed speed, m/s: k_l and k_o are saturated to +-k_max.
-    k_max: float = 3.3
-
     # Speed of a person whose motion is not known yet, m/s (ISO/TS 15066: an
     # unmonitored person walks at 1.6 m/s towards the robot).
     V_hmax: float = 1.6
@@ -56,7 +53,6 @@ class SeparationConfig:
 
     def check(self, where: str) -> None:
         """Raises UserError unless every setting is within its limits."""
-        check_range(where, "k_max", self.k_max, 0.1, 100.0)
         check_range(where, "V_hmax", self.V_hmax, 0.0, 10.0)
         check_range(where, "max_gap", self.max_gap, 0.0, 10.0)
         require(
@@ -266,6 +262,7 @@ def calc_link_row(
     geometry: RingGeometry,
     kinematics: LinkKinematics,
     link: int,
+    k_max: float = 3.3,
 ) -> np.ndarray:
     """Calculates one link's part of a Separation from its ring's scan.
 
@@ -283,6 +280,7 @@ def calc_link_row(
         geometry: of that ring.
         kinematics: of the robot.
         link: index of the link in what `kinematics` returns.
+        k_max: k_l and k_o are saturated to +-k_max, m/s.
 
     Returns:
         Time, distance, link speed, k_l, k_o, direction (3), sequence, sensor,
@@ -308,7 +306,7 @@ def calc_link_row(
         geometry.beam_L,
         R_WL[link],
         v_WL[link],
-        config.k_max,
+        k_max,
         config.V_hmax,
         config.literal,
         config.literal_sign,
@@ -388,6 +386,7 @@ class TofSeparation(LeafSystem):
         self,
         *,
         config: SeparationConfig,
+        k_max: float = 3.3,
         kinematics: LinkKinematics,
         geometries: Sequence[RingGeometry],
         name: tuple[str, ...] = RINGS,
@@ -396,6 +395,7 @@ class TofSeparation(LeafSystem):
 
         Args:
             config: settings.
+            k_max: k_l and k_o are saturated to +-k_max, m/s.
             kinematics: of the links, in the order of `name`.
             geometries: of the rings, in the same order.
             name: the rings.
@@ -405,6 +405,7 @@ class TofSeparation(LeafSystem):
         """
         super().__init__()
         config.check("separation")
+        self._k_max = k_max
         self._config = config
         self._kinematics = kinematics
         self._geometries = tuple(geometries)
@@ -446,9 +447,8 @@ class TofSeparation(LeafSystem):
     def _calc_result(self, context: Context, cached):
         """Calculates the rows of the links whose ring has a new scan.
 
-        A mask's state, and with it this entry, counts as changed at every
-        control tick. What the entry held before tells which scans are the
-        same; the value still depends on the inputs only.
+        The masks' state changes as a whole. What the entry held before tells
+        which scans are the same; the value still depends on the inputs only.
         """
         before = cached.get_value()
         masked_scans = tuple(port.Eval(context) for port in self._masked_scans)
@@ -467,6 +467,7 @@ class TofSeparation(LeafSystem):
                     self._geometries[link],
                     self._kinematics,
                     link,
+                    self._k_max,
                 )
         if rows is not None:
             cached.set_value(

@@ -28,9 +28,6 @@ class SsmConfig:
     # For comparison only.
     literal: bool = False
 
-    # Control tick, s. The robot's: 0.008 for CB3, 0.002 for e-Series.
-    period: float = 0.008
-
     # Time from normal speed to a standstill, s.
     T_stop: float = 0.4
 
@@ -98,7 +95,6 @@ class SsmConfig:
             f"one of {', '.join(CONFIGURATIONS)}",
         )
         for name in (
-            "period",
             "T_stop",
             "T_red",
             "V_lmax",

@@ -178,6 +178,33 @@ def calc_safety_index(
     )
 
 
+@njit(cache=True)
+def _is_stored(state, sequence, dsi):
+    m = len(sequence)
+    for i in range(m):
+        if state[i] != sequence[i] or state[m + i] != dsi[i]:
+            return False
+    return True
+
+
+def is_stored(
+    state: np.ndarray, index: SafetyIndex, separation: Separation
+) -> bool:
+    """Returns whether an index is what the filter makes of a separation.
+
+    So it is if it was made of this very separation and is already stored;
+    then there is nothing to calculate.
+
+    Args:
+        state: As make_initial_filter_state() tells, shape (3 m + 1,).
+        index: Made before, of whatever separation.
+        separation: What the sensing found.
+    """
+    return index.sequence is separation.sequence and _is_stored(
+        state, index.sequence, index.dsi
+    )
+
+
 def calc_next_filter_state(
     *, state: np.ndarray, index: SafetyIndex, robot_state: float
 ) -> np.ndarray:
@@ -217,11 +244,16 @@ class DsiFilter(LeafSystem):
 
     Args:
         config: Settings.
+        period: Control tick, s.
         name: The m watched links.
     """
 
     def __init__(
-        self, *, config: SsmConfig | None = None, name: tuple[str, ...] = RINGS
+        self,
+        *,
+        config: SsmConfig | None = None,
+        period: float = 0.008,
+        name: tuple[str, ...] = RINGS,
     ):
         super().__init__()
         config = SsmConfig() if config is None else config
@@ -246,7 +278,7 @@ class DsiFilter(LeafSystem):
             },
         )
         self.DeclarePeriodicDiscreteUpdateEvent(
-            period_sec=config.period, offset_sec=0.0, update=self._update
+            period_sec=period, offset_sec=0.0, update=self._update
         )
 
     def _calc_dsi(self, context, output):
@@ -256,11 +288,13 @@ class DsiFilter(LeafSystem):
                 f"separation is of the links {separation.name}, the filter "
                 f"was made for {self._name}"
             )
+        state = context.get_discrete_state(self._state).value()
+        # The state changes once a sample was stored, the index does not.
+        if is_stored(state, output.get_value(), separation):
+            return
         output.set_value(
             calc_safety_index(
-                constants=self._constants,
-                state=context.get_discrete_state(self._state).value(),
-                separation=separation,
+                constants=self._constants, state=state, separation=separation
             )
         )
 

@@ -21,7 +21,12 @@ _TOLERANCE = 1e-9
 
 
 def calc_next_speed_fraction(
-    *, config: SsmConfig, rho: float, rate: float, target: float
+    *,
+    config: SsmConfig,
+    period: float,
+    rho: float,
+    rate: float,
+    target: float,
 ) -> tuple[float, float]:
     """Takes the speed fraction rho one control tick towards its target.
 
@@ -39,6 +44,7 @@ def calc_next_speed_fraction(
 
     Args:
         config: Settings.
+        period: Control tick, s.
         rho: Speed fraction, in [0, 1].
         rate: Its rate, 1/s.
         target: Where it goes, in [0, 1].
@@ -66,7 +72,7 @@ def calc_next_speed_fraction(
         result = otg.calculate(otg_input, trajectory)
         if result not in (Result.Working, Result.Finished):
             return 0.0, 0.0
-        _, (next_rho,), (next_rate,) = trajectory.at_time(config.period)
+        _, (next_rho,), (next_rate,) = trajectory.at_time(period)
     except RuckigError:
         return 0.0, 0.0
     if not (math.isfinite(next_rho) and math.isfinite(next_rate)):
@@ -94,45 +100,43 @@ class SpeedFractionTrajectory(LeafSystem):
 
     Args:
         config: Settings.
+        period: Control tick, s.
     """
 
-    def __init__(self, *, config: SsmConfig | None = None):
+    def __init__(
+        self, *, config: SsmConfig | None = None, period: float = 0.008
+    ):
         super().__init__()
         config = SsmConfig() if config is None else config
         config.check("ssm")
         self._config = dc.replace(config)
+        self._period = period
         self._targets = {
             float(RobotState.STOP): 0.0,
             float(RobotState.REDUCED): config.rho_reduced,
             float(RobotState.NORMAL): 1.0,
         }
         self._robot_state = self.DeclareVectorInputPort("robot_state", 1)
-        self._state = self.DeclareDiscreteState(2)
-        self.DeclareVectorOutputPort(
-            "speed_fraction",
-            1,
-            self._calc_speed_fraction,
-            prerequisites_of_calc={self.discrete_state_ticket(self._state)},
-        )
+        self._rho = self.DeclareDiscreteState(1)
+        self._rate = self.DeclareDiscreteState(1)
+        self.DeclareStateOutputPort("speed_fraction", self._rho)
         self.DeclarePeriodicDiscreteUpdateEvent(
-            period_sec=config.period, offset_sec=0.0, update=self._update
+            period_sec=period, offset_sec=0.0, update=self._update
         )
-
-    def _calc_speed_fraction(self, context, output):
-        output[0] = context.get_discrete_state(self._state).value()[0]
 
     def _update(self, context, discrete_state):
-        rho, rate = context.get_discrete_state(self._state).value()
+        (rho,) = context.get_discrete_state(self._rho).value()
+        (rate,) = context.get_discrete_state(self._rate).value()
         target = self._targets.get(self._robot_state.Eval(context)[0], 0.0)
         if rho == target and rate == 0.0:
             return EventStatus.DidNothing()
-        discrete_state.set_value(
-            self._state,
-            calc_next_speed_fraction(
-                config=self._config,
-                rho=float(rho),
-                rate=float(rate),
-                target=target,
-            ),
+        rho, rate = calc_next_speed_fraction(
+            config=self._config,
+            period=self._period,
+            rho=float(rho),
+            rate=float(rate),
+            target=target,
         )
+        discrete_state.set_value(self._rho, [rho])
+        discrete_state.set_value(self._rate, [rate])
         return EventStatus.Succeeded()

@@ -185,7 +185,7 @@ class TriSsmState(LeafSystem):
             self._calc_robot_state,
             prerequisites_of_calc=prerequisites,
         )
-        self.DeclareVectorOutputPort(
+        self._ring_states = self.DeclareVectorOutputPort(
             "ring_states",
             len(name),
             self._calc_ring_states,
@@ -206,7 +206,7 @@ class TriSsmState(LeafSystem):
         )
 
     def _calc_robot_state(self, context, output):
-        output[0] = min(self._calc(calc_ring_states, context).tolist())
+        output[0] = min(self._ring_states.Eval(context).tolist())
 
     def _calc_ring_states(self, context, output):
         output.SetFromVector(self._calc(calc_ring_states, context))

@@ -1,14 +1,13 @@
-"""A ring of Time-of-Flight sensors around a robot link, simulated."""
+"""Rings of Time-of-Flight sensors around robot links, simulated."""
 
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 import dataclasses as dc
 import math
 
 import numpy as np
 from pydrake.common import RandomDistribution
 from pydrake.common.value import Value
-from pydrake.geometry import FrameId, GeometryId, QueryObject
-from pydrake.math import RigidTransform
+from pydrake.geometry import QueryObject
 from pydrake.systems.framework import (
     Context,
     EventStatus,
@@ -19,7 +18,8 @@ from pydrake.systems.framework import (
 from tofssm_drake.errors import require
 from tofssm_drake.geometry.fan import make_cone_fan
 from tofssm_drake.geometry.ray_caster import RayBundles, RayCaster
-from tofssm_drake.messages import RingScan
+from tofssm_drake.messages import RINGS, RingScan
+from tofssm_drake.sensing.ring_mount import RingMount
 from tofssm_drake.sensing.vl53l1x import (
     NOISE_DRAWS,
     SensorErrors,
@@ -82,75 +82,74 @@ def make_ring_bundles(
     *,
     config: TofRingConfig,
     caster: RayCaster,
-    frame_id: FrameId,
-    X_FS: Sequence[RigidTransform],
-    excluded: Collection[GeometryId] = (),
+    mounts: Sequence[RingMount],
 ) -> RayBundles:
-    """Makes the rays of one ring.
+    """Makes the rays of rings, cast in one go.
 
     Args:
         config: field of view, number of rays, range.
         caster: what the rays are cast against.
-        frame_id: the frame F of the link that carries the ring.
-        X_FS: the sensors' poses in F; x is the axis of the beam.
-        excluded: what no sensor of the ring sees: the link that carries it.
+        mounts: the rings; no sensor sees the link that carries it.
+
+    Returns:
+        One bundle per sensor, ring by ring.
     """
     return caster.make_bundles(
-        frame_id=frame_id,
-        X_FS=X_FS,
+        frame_id=[mount.frame_id for mount in mounts for _ in mount.X_FS],
+        X_FS=[X for mount in mounts for X in mount.X_FS],
         fan_S=make_cone_fan(
             math.radians(config.fov_deg), config.rays_per_sensor
         ),
         max_range=calc_cast_range(config.sensor),
-        excluded=[excluded] * len(X_FS),
+        excluded=[mount.geometry_ids for mount in mounts for _ in mount.X_FS],
     )
 
 
 @dc.dataclass(frozen=True, eq=False)
-class _RingState:
-    """All that the system remembers, in one piece: cheap to copy."""
+class _Queue:
+    """Scans under way, oldest first, and how many there were: cheap to copy."""
 
-    scan: RingScan = dc.field(default_factory=RingScan)
-    """The last one delivered."""
-    queue: tuple[RingScan, ...] = ()
-    """Those under way, oldest first."""
+    scans: tuple[tuple[RingScan, ...], ...] = ()
+    next_sequence: int = 0
 
     def __deepcopy__(self, memo):
         return self
 
 
-class TofRing(LeafSystem):
-    """Simulates a ring of n VL53L1X sensors.
+class TofRings(LeafSystem):
+    """Simulates rings of VL53L1X sensors that sample together.
 
     .. pydrake_system::
 
-        name: TofRing
+        name: TofRings
         input_ports:
         - geometry_query
         - frame_poses
         - noise
         output_ports:
-        - scan
+        - scan_base
+        - scan_elbow
+        - scan_tool
 
-    Once a period the sensors' rays are cast against the scene and turned into
-    a `RingScan`. This happens at the centre of the sensors' integration,
-    which is the scan's `sensor_time`. The scan appears on the port a latency
-    later (half the timing budget and the readout). The latency may exceed the
-    period: scans under way wait in a queue.
+    Once a period the rays of all N sensors are cast against the scene and
+    turned into one `RingScan` per ring. This happens at the centre of the
+    sensors' integration, which is the scans' `sensor_time`. The scans appear
+    on the ports a latency later (half the timing budget and the readout). The
+    latency may exceed the period: scans under way wait in a queue. Rings that
+    sample at other times are another system; one ring alone is fine.
 
     Where things are comes from one of two ports. `geometry_query` serves any
     Diagram with a SceneGraph; `frame_poses`, X_WF of `caster.frame_ids`,
     (f, 3, 4), is used instead where it is connected, and is much faster for
     who has all poses at hand (see ScenePoses).
 
-    The port `scan` holds an empty scan (sequence -1) before the first one.
+    A port holds an empty scan (sequence -1) before the first one.
 
     The port `noise` takes standard normal numbers, NOISE_DRAWS per sensor,
     which have to change at least once a period. It may be left unconnected
     if the sensors are ideal. Constant errors are an argument.
 
-    All sensors of a ring integrate at the same time here. The device's jitter
-    of the period (1 %) is not simulated.
+    The device's jitter of the period (1 %) is not simulated.
     """
 
     def __init__(
@@ -161,20 +160,23 @@ class TofRing(LeafSystem):
         bundles: RayBundles,
         errors: SensorErrors | None = None,
         phase: float = 0.0,
+        name: tuple[str, ...] = RINGS,
     ):
         """Constructs the system.
 
         Args:
             config: settings of the rings.
             caster: of the SceneGraph that is connected to `geometry_query`.
-            bundles: the sensors' rays, see `make_ring_bundles`.
+            bundles: the sensors' rays, see `make_ring_bundles`; as many
+                sensors for each ring.
             errors: the sensors' constant errors; None: there are none.
             phase: time of the first sample, s, 0 for one period; tells the
                 rings' turns apart.
+            name: the rings, in the order of `bundles`.
 
         Raises:
             UserError: if a setting is out of range.
-            ValueError: if the errors are not those of n sensors.
+            ValueError: if errors or rays do not suit the rings.
         """
         super().__init__()
         config.check("rings")
@@ -182,18 +184,24 @@ class TofRing(LeafSystem):
             math.isfinite(phase) and phase >= 0.0,
             f"rings.phase: {phase} is out of range; use 0 or more",
         )
-        n = bundles.num_bundles
+        num_sensors = bundles.num_bundles
+        n, rest = divmod(num_sensors, len(name))
+        if n == 0 or rest:
+            raise ValueError(f"bundles: {num_sensors} for {len(name)} rings")
         if errors is None:
-            errors = make_perfect_sensor_errors(n)
-        if errors.bias.shape != (n,) or errors.gain.shape != (n,):
-            raise ValueError(f"errors: not those of {n} sensors")
+            errors = make_perfect_sensor_errors(num_sensors)
+        if not errors.bias.shape == errors.gain.shape == (num_sensors,):
+            raise ValueError(f"errors: not those of {num_sensors} sensors")
         self._caster = caster
         self._bundles = bundles
         self._errors = errors
         self._parameters = pack_config(config.sensor)
         self._latency = config.latency
+        self._rows = [slice(n * i, n * i + n) for i in range(len(name))]
         self._no_noise = (
-            np.zeros((n, NOISE_DRAWS)) if config.sensor.ideal else None
+            np.zeros((num_sensors, NOISE_DRAWS))
+            if config.sensor.ideal
+            else None
         )
 
         self._geometry_query = self.DeclareAbstractInputPort(
@@ -203,15 +211,14 @@ class TofRing(LeafSystem):
             "frame_poses", Value(np.zeros((len(caster.frame_ids), 3, 4)))
         )
         self._noise = self.DeclareVectorInputPort(
-            "noise", n * NOISE_DRAWS, RandomDistribution.kGaussian
+            "noise", num_sensors * NOISE_DRAWS, RandomDistribution.kGaussian
         )
-        self._state = self.DeclareAbstractState(Value(_RingState()))
-        self.DeclareAbstractOutputPort(
-            "scan",
-            Value(RingScan()).Clone,
-            self._calc_scan,
-            prerequisites_of_calc={self.abstract_state_ticket(self._state)},
-        )
+        self._scans = [
+            self.DeclareAbstractState(Value(RingScan())) for _ in name
+        ]
+        self._queue = self.DeclareAbstractState(Value(_Queue()))
+        for ring, index in zip(name, self._scans, strict=True):
+            self.DeclareStateOutputPort(f"scan_{ring}", index)
         first = phase if phase > 0.0 else config.period
         self.DeclarePeriodicUnrestrictedUpdateEvent(
             config.period, first - _EARLY, self._capture
@@ -222,35 +229,37 @@ class TofRing(LeafSystem):
 
     @property
     def num_sensors(self) -> int:
-        """Sensors of the ring, n."""
+        """Sensors of all rings, N."""
         return self._bundles.num_bundles
-
-    def _calc_scan(self, context: Context, output):
-        state = context.get_abstract_state(self._state).get_value()
-        output.set_value(state.scan)
 
     def _capture(self, context: Context, state: State):
         """Takes a sample and queues it."""
         # `state` and not `context`: a delivery at the same time has its say.
-        value = state.get_mutable_abstract_state(self._state)
+        value = state.get_mutable_abstract_state(self._queue)
         before = value.get_value()
-        last = before.queue[-1] if before.queue else before.scan
-        scan = self._measure(context, last.sequence + 1)
+        scans = self._measure(context, before.next_sequence)
         # Faults to inject (a silent ring, a frozen or stuck value, two
-        # sensors at one address, a dirty cover) would change `scan` here.
-        value.set_value(_RingState(before.scan, (*before.queue, scan)))
+        # sensors at one address, a dirty cover) would change `scans` here.
+        value.set_value(
+            _Queue((*before.scans, scans), before.next_sequence + 1)
+        )
 
     def _deliver(self, context: Context, state: State):
-        """Moves the oldest scan under way to the port, if it is due."""
-        value = state.get_mutable_abstract_state(self._state)
-        queue = value.get_value().queue
+        """Moves the oldest scans under way to the ports, if they are due."""
+        value = state.get_mutable_abstract_state(self._queue)
+        queue = value.get_value()
         # The tolerance covers the rounding of the events' times.
-        if not queue or queue[0].time > context.get_time() + 1e-6:
+        if (
+            not queue.scans
+            or queue.scans[0][0].time > context.get_time() + 1e-6
+        ):
             return EventStatus.DidNothing()
-        value.set_value(_RingState(queue[0], queue[1:]))
+        for index, scan in zip(self._scans, queue.scans[0], strict=True):
+            state.get_mutable_abstract_state(index).set_value(scan)
+        value.set_value(_Queue(queue.scans[1:], queue.next_sequence))
         return EventStatus.Succeeded()
 
-    def _measure(self, context: Context, sequence: int) -> RingScan:
+    def _measure(self, context: Context, sequence: int) -> tuple[RingScan, ...]:
         if self._frame_poses.HasValue(context):
             X_WF = self._frame_poses.Eval(context)
         else:
@@ -269,10 +278,14 @@ class TofRing(LeafSystem):
             self._errors.gain,
         )
         time = context.get_time()
-        return RingScan(
-            sequence=sequence,
-            time=time + self._latency,
-            sensor_time=np.full(len(distance), time),
-            distance=distance,
-            status=status,
+        sensor_time = np.full(len(distance), time)
+        return tuple(
+            RingScan(
+                sequence=sequence,
+                time=time + self._latency,
+                sensor_time=sensor_time[rows],
+                distance=distance[rows],
+                status=status[rows],
+            )
+            for rows in self._rows
         )
