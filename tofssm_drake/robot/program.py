@@ -554,11 +554,19 @@ class PickAndPlaceProgram(LeafSystem):
         discrete_state.set_value(
             self._progress, np.array([s, rate, change, time])
         )
-        if rate > 0.0:
-            path = self._path
-            for index, value in (
-                (self._gripper_closed, path.calc_gripper_closed(s)),
-                (self._products_placed, path.calc_products_placed(s)),
-                (self._task_done, s >= path.duration),
-            ):
-                discrete_state.set_value(index, [float(value)])
+        path = self._path
+        for index, before, now in (
+            (
+                self._gripper_closed,
+                path.calc_gripper_closed(state[0]),
+                path.calc_gripper_closed(s),
+            ),
+            (
+                self._products_placed,
+                path.calc_products_placed(state[0]),
+                path.calc_products_placed(s),
+            ),
+            (self._task_done, state[0] >= path.duration, s >= path.duration),
+        ):
+            if now != before:
+                discrete_state.set_value(index, [float(now)])

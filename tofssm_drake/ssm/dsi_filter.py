@@ -306,7 +306,7 @@ class DsiFilter(LeafSystem):
             robot_state=self._robot_state.Eval(context)[0],
         )
         # Nothing new: what depends on the state stays valid.
-        if (next_state == state).all():
+        if next_state.tobytes() == state.tobytes():
             return EventStatus.DidNothing()
         discrete_state.set_value(self._state, next_state)
         return EventStatus.Succeeded()
