@@ -1,4 +1,4 @@
-"""Station and monitor in a loop, with truth and record beside them."""
+"""Station and monitor in a loop, with the record beside them."""
 
 import dataclasses as dc
 import math
@@ -16,7 +16,7 @@ from tofssm_drake.diagrams.monitor import make_monitor
 from tofssm_drake.diagrams.run_metadata import make_run_metadata
 from tofssm_drake.diagrams.scenario import Scenario
 from tofssm_drake.diagrams.station import Station, make_station
-from tofssm_drake.evaluation.ground_truth import GroundTruth
+from tofssm_drake.evaluation.ground_truth import TruthModel
 from tofssm_drake.evaluation.recorder import SampleRecorder
 from tofssm_drake.messages import RINGS
 from tofssm_drake.sensing.vl53l1x import calc_cast_range
@@ -63,8 +63,7 @@ def make_workcell(
         monitor.GetOutputPort("speed_fraction"),
         station.diagram.GetInputPort("speed_fraction"),
     )
-    truth = _add_ground_truth(builder, station)
-    recorder = _add_recorder(builder, scenario, station, monitor, truth)
+    recorder = _add_recorder(builder, scenario, station, monitor)
     if meshcat is not None:
         _add_display(builder, scenario, station, monitor, meshcat)
     diagram = builder.Build()
@@ -72,46 +71,33 @@ def make_workcell(
     return Workcell(diagram=diagram, station=station, recorder=recorder)
 
 
-def _add_ground_truth(builder, station):
+def _add_recorder(builder, scenario, station, monitor):
     avatar = station.avatar
-    truth = builder.AddNamedSystem(
-        "ground_truth",
-        GroundTruth(
-            plant=station.plant,
-            inspector=station.scene_graph.model_inspector(),
-            radii=[] if avatar is None else avatar.radii,
+    truth = TruthModel(
+        plant=station.plant,
+        inspector=station.scene_graph.model_inspector(),
+        radii=[] if avatar is None else avatar.radii,
+    )
+    recorder = builder.AddNamedSystem(
+        "recorder",
+        SampleRecorder(
+            truth=truth,
+            period=scenario.control_period,
+            num_sensors=scenario.sensors_per_ring,
+            metadata=make_run_metadata(scenario, station, truth.body_names),
         ),
     )
     for port, name in (
         ("position", "position_measured"),
         ("velocity", "velocity_measured"),
         ("skeleton", "skeleton"),
+        ("products_placed", "products_placed"),
     ):
         builder.Connect(
-            station.diagram.GetOutputPort(name), truth.GetInputPort(port)
+            station.diagram.GetOutputPort(name), recorder.GetInputPort(port)
         )
-    return truth
-
-
-def _add_recorder(builder, scenario, station, monitor, truth):
-    recorder = builder.AddNamedSystem(
-        "recorder",
-        SampleRecorder(
-            period=scenario.control_period,
-            num_sensors=scenario.sensors_per_ring,
-            metadata=make_run_metadata(scenario, station, truth.body_names),
-        ),
-    )
-    for port, source in (
-        ("position", station.diagram.GetOutputPort("position_measured")),
-        ("velocity", station.diagram.GetOutputPort("velocity_measured")),
-        ("products_placed", station.diagram.GetOutputPort("products_placed")),
-        ("truth", truth.GetOutputPort("truth")),
-    ):
-        builder.Connect(source, recorder.GetInputPort(port))
     for name in (
         "speed_fraction",
-        "robot_state",
         "ring_states",
         "reason",
         "separation",

@@ -280,6 +280,131 @@ def calc_truth(
     return truth
 
 
+@njit(cache=True)
+def _calc_truth_rows(
+    X_WB,
+    X_PJ,
+    site_link,
+    X_AS,
+    link,
+    p_AP,
+    p_AQ,
+    radius,
+    body,
+    q,
+    qd,
+    ends,
+    part_radius,
+    pelvis,
+    truth,
+):
+    for i in range(q.shape[0]):
+        row = calc_truth(
+            X_WB,
+            X_PJ,
+            site_link,
+            X_AS,
+            link,
+            p_AP,
+            p_AQ,
+            radius,
+            body,
+            q[i],
+            qd[i],
+            ends[i],
+            part_radius,
+            pelvis,
+        )
+        for k in range(truth.shape[1]):
+            truth[i, k] = row[k]
+
+
+class TruthModel:
+    """Truth from the robot's joints and the person's capsules.
+
+    One kernel for one instant (`GroundTruth`) and for a whole record
+    (`SampleRecorder`). The joints stand for the plant's body poses: the tests
+    hold both equal, and it costs a tenth of reading the poses in Python.
+
+    A product in the gripper is not a part of the robot.
+
+    Args:
+        plant: Finalized plant with the robot, its ring frames and its tool
+            frame, registered with a SceneGraph.
+        inspector: Its SceneGraph's model inspector. Both are read once.
+        radii: Radii of the person's capsules, m, (c,); empty: nobody.
+        rings: Names of the m watched links, whose frames are `<name>_ring`.
+        models: Names of the model instances that make up the robot. Their
+            proximity geometry must be capsules and spheres.
+        pelvis: Index of the capsule whose centre is the person's place.
+
+    Attributes:
+        layout: Where each quantity sits, a `TruthLayout`.
+        body_names: Robot bodies that `layout.robot_body` counts.
+        num_positions: Number n of joints.
+        skeleton_size: 6 c.
+
+    Raises:
+        ValueError: if a robot shape is neither capsule nor sphere.
+        UserError: if the plant lacks a joint or a frame.
+    """
+
+    def __init__(
+        self,
+        *,
+        plant: MultibodyPlant,
+        inspector: SceneGraphInspector,
+        radii: np.ndarray,
+        rings: tuple[str, ...] = RINGS,
+        models: tuple[str, ...] = ("ur10", "gripper"),
+        pelvis: int = 0,
+    ):
+        robot = RobotCapsules.from_plant(plant, inspector, models=models)
+        kinematics = RingKinematics.from_plant(plant, rings=rings)
+        self._radii = np.array(radii, dtype=float).ravel()
+        self._pelvis = pelvis
+        self._robot = (
+            kinematics.X_WB,
+            kinematics.X_PJ,
+            kinematics.site_link,
+            kinematics.X_AS,
+            robot.link,
+            robot.p_AP,
+            robot.p_AQ,
+            robot.radius,
+            robot.body,
+        )
+        self.layout = TruthLayout(len(rings))
+        self.body_names = robot.body_names
+        self.num_positions = len(kinematics.X_PJ)
+        self.skeleton_size = 6 * len(self._radii)
+
+    def calc(
+        self, *, q: np.ndarray, qd: np.ndarray, skeleton: np.ndarray
+    ) -> np.ndarray:
+        """Returns the truth at k instants, (k, layout.size).
+
+        Args:
+            q: Joint angles, rad, (k, n).
+            qd: Joint speeds, rad/s, (k, n).
+            skeleton: Both ends of the person's capsules in world, m, (k, 6 c).
+        """
+        k = len(q)
+        truth = np.empty((k, self.layout.size))
+        _calc_truth_rows(
+            *self._robot,
+            np.ascontiguousarray(q),
+            np.ascontiguousarray(qd),
+            np.ascontiguousarray(skeleton).reshape(k, -1, 2, 3)
+            if self.skeleton_size
+            else np.empty((k, 0, 2, 3)),
+            self._radii,
+            self._pelvis,
+            truth,
+        )
+        return truth
+
+
 class GroundTruth(LeafSystem):
     """True distance, contact and speed, which the monitor never sees.
 
@@ -307,69 +432,33 @@ class GroundTruth(LeafSystem):
     fastest robot point that touches the person, m/s, 0 if none does.
 
     While they touch, robot_body and person_part of `truth` name the pair
-    whose robot point is the fastest. A product in the gripper is not a part
-    of the robot. Without a person (no radii) distances are inf, points and
-    angles NaN, and `skeleton` may stay unconnected.
+    whose robot point is the fastest. Without a person (no radii) distances
+    are inf, points and angles NaN, and `skeleton` may stay unconnected.
 
-    The joints stand for the plant's body poses: the tests hold both equal,
-    and it costs a tenth of reading the poses in Python.
+    It is for whoever wants the truth while the simulation runs, such as a
+    display or a `Simulator` monitor that ends a run at the first contact.
+    The workcell has none: `SampleRecorder` computes the same numbers, from
+    the same `TruthModel`, when the run is over.
 
     Args:
-        plant: Finalized plant with the robot, its ring frames and its tool
-            frame, registered with a SceneGraph.
-        inspector: Its SceneGraph's model inspector. Both are read once.
-        radii: Radii of the person's capsules, m, (c,).
-        rings: Names of the m watched links, whose frames are `<name>_ring`.
-        models: Names of the model instances that make up the robot. Their
-            proximity geometry must be capsules and spheres.
-        pelvis: Index of the capsule whose centre is the person's place.
-
-    Raises:
-        ValueError: if a robot shape is neither capsule nor sphere.
-        UserError: if the plant lacks a joint or a frame.
+        model: What computes the truth.
     """
 
-    def __init__(
-        self,
-        *,
-        plant: MultibodyPlant,
-        inspector: SceneGraphInspector,
-        radii: np.ndarray,
-        rings: tuple[str, ...] = RINGS,
-        models: tuple[str, ...] = ("ur10", "gripper"),
-        pelvis: int = 0,
-    ):
+    def __init__(self, *, model: TruthModel):
         super().__init__()
-        robot = RobotCapsules.from_plant(plant, inspector, models=models)
-        kinematics = RingKinematics.from_plant(plant, rings=rings)
-        self.body_names = robot.body_names
-        self._layout = TruthLayout(len(rings))
-        self._radii = np.array(radii, dtype=float).ravel()
-        self._pelvis = pelvis
-        self._robot = (
-            kinematics.X_WB,
-            kinematics.X_PJ,
-            kinematics.site_link,
-            kinematics.X_AS,
-            robot.link,
-            robot.p_AP,
-            robot.p_AQ,
-            robot.radius,
-            robot.body,
-        )
-
-        n = len(kinematics.X_PJ)
+        self._model = model
+        layout = model.layout
+        n = model.num_positions
         self._position_port = self.DeclareVectorInputPort("position", n)
         self._velocity_port = self.DeclareVectorInputPort("velocity", n)
         self._skeleton_port = self.DeclareVectorInputPort(
-            "skeleton", 6 * len(self._radii)
+            "skeleton", model.skeleton_size
         )
         inputs = {
             self._position_port.ticket(),
             self._velocity_port.ticket(),
             self._skeleton_port.ticket(),
         }
-        layout = self._layout
         self._truth_port = self.DeclareVectorOutputPort(
             "truth",
             layout.size,
@@ -397,17 +486,13 @@ class GroundTruth(LeafSystem):
         output.SetFromVector(self._truth_port.Eval(context)[where])
 
     def _calc_truth(self, context, output):
-        if len(self._radii):
+        if self._model.skeleton_size:
             skeleton = self._skeleton_port.Eval(context)
         else:
             skeleton = np.empty(0)
-        output.SetFromVector(
-            calc_truth(
-                *self._robot,
-                self._position_port.Eval(context),
-                self._velocity_port.Eval(context),
-                skeleton.reshape(-1, 2, 3),
-                self._radii,
-                self._pelvis,
-            )
+        truth = self._model.calc(
+            q=self._position_port.Eval(context)[None],
+            qd=self._velocity_port.Eval(context)[None],
+            skeleton=skeleton[None],
         )
+        output.SetFromVector(truth[0])

@@ -1,143 +1,255 @@
 """Recorder of one row per control tick."""
 
+from typing import NamedTuple
+
 import numpy as np
 from pydrake.common.value import Value
-from pydrake.systems.framework import LeafSystem, ValueProducer
+from pydrake.systems.framework import (
+    Diagram,
+    DiagramBuilder,
+    EventStatus,
+    LeafSystem,
+    ValueProducer,
+)
+from pydrake.systems.primitives import Multiplexer, VectorLogSink
 
+from tofssm_drake.evaluation.ground_truth import TruthModel
 from tofssm_drake.evaluation.samples import RING_COLUMNS, Samples, narrow_type
-from tofssm_drake.evaluation.truth import TruthLayout
 from tofssm_drake.messages import (
     RINGS,
     MaskedScan,
     Reading,
+    RobotState,
     SafetyIndex,
     Separation,
     make_empty_safety_index,
     make_empty_separation,
 )
 
-_ROWS_PER_BLOCK = 4096
+# Messages are kept as they are until there are so many.
+_PACK_AT = 512
+# Rows of truth per call: as much of the log as is copied at a time.
+_TRUTH_ROWS = 1024
+
+_COUNTS = ("clear", "valid", "masked", "faulted")
+# Column by field of the message.
+_OF_SEPARATION = {
+    "measured_distance": "distance",
+    "closing_speed": "k_o",
+    "sensor": "sensor",
+    "health": "health",
+    "sequence": "sequence",
+    "sample_time": "time",
+}
+_OF_DSI = ("d_C", "d_R", "dsi_raw", "dsi", "dsi_C", "dsi_R")
 
 
-class _Table:
-    """Rows of numbers in blocks, so that appending never copies old rows."""
-
-    def __init__(self, width):
-        self._width = width
-        self._blocks = []
-        self._used = _ROWS_PER_BLOCK
-
-    def __len__(self):
-        return (len(self._blocks) - 1) * _ROWS_PER_BLOCK + self._used
-
-    def append(self):
-        """Returns a new row to be filled in."""
-        if self._used == _ROWS_PER_BLOCK:
-            self._blocks.append(np.empty((_ROWS_PER_BLOCK, self._width)))
-            self._used = 0
-        row = self._blocks[-1][self._used]
-        self._used += 1
-        return row
-
-    def to_array(self):
-        if not self._blocks:
-            return np.empty((0, self._width))
-        return np.concatenate(
-            [*self._blocks[:-1], self._blocks[-1][: self._used]]
-        )
-
-
-class _Log:
-    """Everything one Context recorded."""
-
-    def __init__(self, width, num_rings, num_sensors):
-        self.table = _Table(width)
-        self.reason = []
-        # (time, MaskedScan) per ring; taken apart when the run is over.
-        self.scans = [[] for _ in range(num_rings)]
-        self.sequence = [-1] * num_rings
-        self.last_ring_states = None
-        self.last_separation = None
-        self.last_dsi = None
-        self.held = None
-
-
-_HELD = (
-    "measured_distance",
-    "closing_speed",
-    "sensor",
-    "health",
-    "sequence",
-    "sample_time",
-    "clear",
-    "valid",
-    "masked",
-    "faulted",
-    "d_C",
-    "d_R",
-    "dsi_raw",
-    "dsi",
-    "dsi_C",
-    "dsi_R",
-)
-
-
-def pack_safety(separation: Separation, dsi: SafetyIndex) -> np.ndarray:
-    """Lays the two messages out as one row, ring by ring within each column.
+def pack_messages(
+    separations: list[Separation], indices: list[SafetyIndex]
+) -> dict[str, np.ndarray]:
+    """Lays messages out as columns.
 
     Args:
-        separation: Separation of m links.
-        dsi: Their safety index.
+        separations: k separations of the same m links, k > 0.
+        indices: Their safety indices.
 
     Returns:
-        (16 m,) values in the order of the recorder's columns. The distance
-        of a link without any sample is NaN, because nothing is known.
+        Arrays (k, m) by name of the recorder's column. The distance of a
+        link without any sample is NaN, because nothing is known.
     """
-    return np.concatenate(
-        (
-            np.where(separation.sequence < 0, np.nan, separation.distance),
-            separation.k_o,
-            separation.sensor,
-            separation.health,
-            separation.sequence,
-            separation.time,
-            separation.count.T.ravel(),
-            dsi.d_C,
-            dsi.d_R,
-            dsi.dsi_raw,
-            dsi.dsi,
-            dsi.dsi_C,
-            dsi.dsi_R,
-        )
+    k = len(separations)
+
+    def stack(messages, field):
+        # Faster than np.stack by far, and this runs during the simulation.
+        flat = np.concatenate([getattr(m, field) for m in messages])
+        return flat.reshape(k, -1, *flat.shape[1:])
+
+    packed = {
+        name: stack(separations, field)
+        for name, field in _OF_SEPARATION.items()
+    }
+    packed["measured_distance"] = np.where(
+        packed["sequence"] < 0, np.nan, packed["measured_distance"]
     )
+    count = stack(separations, "count")
+    packed |= {name: count[..., i] for i, name in enumerate(_COUNTS)}
+    return packed | {name: stack(indices, name) for name in _OF_DSI}
 
 
-def _unpack_scans(scans, num_sensors):
-    """Returns the table of one ring's scans, as `Samples.scan` has it."""
-    shape = (len(scans), num_sensors)
-    distance = np.empty(shape, dtype=np.float32)
-    reading = np.empty(shape, dtype=np.int8)
-    for i, (_, scan) in enumerate(scans):
-        distance[i] = scan.scan.distance
-        reading[i] = scan.reading
+class _Scan(NamedTuple):
+    time: float
+    distance: np.ndarray
+    reading: np.ndarray
+
+
+def _pack_scans(scans):
+    """Returns k > 0 scans of one ring as `Samples.scan` has them."""
+    reading = np.stack([scan.reading for scan in scans]).astype(np.int8)
+    distance = np.stack([scan.distance for scan in scans]).astype(np.float32)
     distance[reading == Reading.CLEAR] = np.inf
     distance[reading == Reading.FAULTED] = np.nan
     return {
-        "time": np.array([time for time, _ in scans]),
+        "time": np.array([scan.time for scan in scans]),
         "distance": distance,
         "reading": reading,
     }
 
 
-def _repeat_reasons(reasons, rows):
-    """Returns a column from (number of rows so far, reason) pairs."""
-    column = np.empty(rows, dtype=object)
-    for start, reason in reasons:
-        column[start - 1 :] = reason
-    return column
+def _join(parts):
+    """Joins dictionaries of arrays, of which there is at least one."""
+    return {
+        name: np.concatenate([part[name] for part in parts])
+        for name in parts[0]
+    }
 
 
-class SampleRecorder(LeafSystem):
+class _Log:
+    """The messages that one Context recorded, with the time of each."""
+
+    def __init__(self, num_rings):
+        self.times = []
+        self.separations = []
+        self.indices = []
+        self.packed = []
+        self.scans = [[] for _ in range(num_rings)]
+        self.packed_scans = [[] for _ in range(num_rings)]
+        self.sequence = [-1] * num_rings
+        self.state_times = []
+        self.ring_states = []
+        self.reasons = []
+        # The last of each.
+        self.separation = None
+        self.states = None
+
+    def pack(self):
+        """Turns the messages into columns, a tenth of their size."""
+        if self.separations:
+            self.packed.append(pack_messages(self.separations, self.indices))
+            self.separations, self.indices = [], []
+        for scans, packed in zip(self.scans, self.packed_scans, strict=True):
+            if scans:
+                packed.append(_pack_scans(scans))
+                scans.clear()
+
+
+def _find_in_force(times, t):
+    """Returns the index of what was in force just before each t.
+
+    Args:
+        times: When each entry came, s, in order; the first is -inf.
+        t: Times, s, (k,).
+    """
+    return np.searchsorted(times, t, side="left") - 1
+
+
+class MessageLog(LeafSystem):
+    """Keeps the messages of a run, each one once.
+
+    .. pydrake_system::
+
+        name: MessageLog
+        input_ports:
+        - ring_states
+        - reason
+        - separation
+        - dsi
+        - masked_scan_base
+        - masked_scan_elbow
+        - masked_scan_tool
+
+    A part of `SampleRecorder`. Like in `VectorLogSink` the log lives in the
+    Context, but not in its State.
+
+    The messages are taken in the discrete update of each tick, where the
+    safety law itself evaluates them, and not in a publish: the law's state
+    has changed until then, so that Drake would compute them once more, which
+    costs as much as the law. What is taken at a tick is in force from there
+    on. It is listed when `separation` or a state is new: by contract `dsi`
+    does not change without a new separation.
+
+    Args:
+        period: Control tick, s.
+        rings: Names of the m watched links, as in the messages.
+        has_scans: Whether there are `masked_scan` ports.
+    """
+
+    def __init__(self, *, period: float, rings: tuple[str, ...], has_scans):
+        super().__init__()
+        m = len(rings)
+        self._rings = tuple(rings)
+        self._ring_states_port = self.DeclareVectorInputPort("ring_states", m)
+        self._reason_port = self.DeclareAbstractInputPort("reason", Value(""))
+        self._separation_port = self.DeclareAbstractInputPort(
+            "separation", Value(make_empty_separation(self._rings))
+        )
+        self._dsi_port = self.DeclareAbstractInputPort(
+            "dsi", Value(make_empty_safety_index(self._rings))
+        )
+        self._scan_ports = [
+            self.DeclareAbstractInputPort(
+                f"masked_scan_{name}", Value(MaskedScan())
+            )
+            for name in (self._rings if has_scans else ())
+        ]
+        self._log = self.DeclareCacheEntry(
+            description="log",
+            value_producer=ValueProducer(
+                allocate=lambda: Value(_Log(m)),
+                calc=ValueProducer.NoopCalc,
+            ),
+            prerequisites_of_calc={self.nothing_ticket()},
+        )
+        self.DeclareInitializationPublishEvent(self._start)
+        self.DeclarePeriodicDiscreteUpdateEvent(period, 0.0, self._update)
+
+    def find_log(self, context) -> _Log:
+        """Returns the log of one of this system's Contexts."""
+        entry = self._log.get_mutable_cache_entry_value(context)
+        return entry.GetMutableValueOrThrow()
+
+    def _start(self, context):
+        self._record(context, -np.inf)
+
+    def _update(self, context, discrete_state):
+        self._record(context, context.get_time())
+        return EventStatus.DidNothing()
+
+    def _record(self, context, time):
+        log = self.find_log(context)
+        separation = self._separation_port.Eval(context)
+        if separation is not log.separation:
+            log.separation = separation
+            log.times.append(time)
+            log.separations.append(separation)
+            log.indices.append(self._dsi_port.Eval(context))
+            self._record_scans(context, log, separation.sequence.tolist())
+            if len(log.separations) == _PACK_AT:
+                log.pack()
+        # Words cost more than numbers: one reason per change of state.
+        states = self._ring_states_port.Eval(context).tolist()
+        if states != log.states:
+            log.states = states
+            log.state_times.append(time)
+            log.ring_states.append(states)
+            log.reasons.append(self._reason_port.Eval(context))
+
+    def _record_scans(self, context, log, sequence):
+        """Keeps the scans that the new separation was made from."""
+        for i, port in enumerate(self._scan_ports):
+            if sequence[i] != log.sequence[i]:
+                log.sequence[i] = sequence[i]
+                masked = port.Eval(context)
+                if masked.scan.sequence >= 0:
+                    log.scans[i].append(
+                        _Scan(
+                            time=context.get_time(),
+                            distance=masked.scan.distance,
+                            reading=masked.reading,
+                        )
+                    )
+
+
+class SampleRecorder(Diagram):
     """Records the run, one row per control tick and one per ring scan.
 
     .. pydrake_system::
@@ -146,27 +258,31 @@ class SampleRecorder(LeafSystem):
         input_ports:
         - position
         - velocity
+        - skeleton
         - speed_fraction
-        - robot_state
-        - ring_states
         - products_placed
+        - ring_states
         - reason
         - separation
         - dsi
-        - truth
         - masked_scan_base
         - masked_scan_elbow
         - masked_scan_tool
 
+    `position` (rad), `velocity` (rad/s) and `skeleton` (as `GroundTruth` has
+    them) are the world's; the rest is the monitor's.
+
     A log has no dynamics and affects no output, so it is not State: it lives
-    in the Context like that of Drake's VectorLogSink. Rows are written by a
-    periodic publish, hence before the updates of the same tick: a row at t
-    holds what was in force when the tick began.
+    in the Context like that of Drake's VectorLogSink. A row at t holds what
+    was in force when the tick began, before its updates. Vectors are written
+    by a periodic publish, hence one row each; of the monitor's messages only
+    new ones are kept, see `MessageLog`. What follows from both, the truth
+    above all, is computed when the samples are asked for.
 
     Args:
+        truth: What computes the truth; its links are those of `rings`.
         period: Control tick, s.
         rings: Names of the m watched links, as in the messages.
-        num_positions: Number of robot joints.
         num_sensors: Sensors per ring. 0 declares no `masked_scan` ports and
             records no scans (sensing without rings).
         metadata: Plain values (JSON) to store with the samples, such as the
@@ -176,158 +292,99 @@ class SampleRecorder(LeafSystem):
     def __init__(
         self,
         *,
+        truth: TruthModel,
         period: float = 0.008,
         rings: tuple[str, ...] = RINGS,
-        num_positions: int = 6,
         num_sensors: int = 8,
         metadata: dict | None = None,
     ):
         super().__init__()
-        m = len(rings)
+        self._truth = truth
         self._rings = tuple(rings)
         self._num_sensors = num_sensors
         self._metadata = {"rings": list(rings), "period": period}
         self._metadata.update(metadata or {})
-        self._layout = TruthLayout(m)
-        self._names = (
-            "t",
-            *(f"q_{i}" for i in range(num_positions)),
-            *(f"qd_{i}" for i in range(num_positions)),
-            "speed_fraction",
-            "robot_state",
-            "products_placed",
-        )
-        self._order = (
-            *self._names[: 1 + 2 * num_positions],
-            "tcp_speed",
-            *self._names[1 + 2 * num_positions :],
-            "true_distance",
-            *(f"{ring}_{name}" for ring in rings for name in RING_COLUMNS),
-        )
-        # Start of each part of a row.
-        self._q = 1
-        self._v = 1 + num_positions
-        self._plain = 1 + 2 * num_positions
-        self._state = len(self._names)
-        self._truth = self._state + m
-        self._held = self._truth + self._layout.size
-        width = self._held + len(_HELD) * m
 
-        self._position_port = self.DeclareVectorInputPort(
-            "position", num_positions
+        sizes = {
+            "position": truth.num_positions,
+            "velocity": truth.num_positions,
+            "skeleton": truth.skeleton_size,
+            "speed_fraction": 1,
+            "products_placed": 1,
+        }
+        ends = np.cumsum(list(sizes.values()))
+        self._part = {
+            name: slice(int(end) - size, int(end))
+            for (name, size), end in zip(sizes.items(), ends, strict=True)
+        }
+        builder = DiagramBuilder()
+        vectors = builder.AddNamedSystem(
+            "vectors", Multiplexer(list(sizes.values()))
         )
-        self._velocity_port = self.DeclareVectorInputPort(
-            "velocity", num_positions
+        self._vectors = builder.AddNamedSystem(
+            "vector_log", VectorLogSink(int(ends[-1]), period)
         )
-        self._speed_fraction_port = self.DeclareVectorInputPort(
-            "speed_fraction", 1
+        builder.Connect(
+            vectors.get_output_port(), self._vectors.get_input_port()
         )
-        self._robot_state_port = self.DeclareVectorInputPort("robot_state", 1)
-        self._ring_states_port = self.DeclareVectorInputPort("ring_states", m)
-        self._products_port = self.DeclareVectorInputPort("products_placed", 1)
-        self._reason_port = self.DeclareAbstractInputPort("reason", Value(""))
-        self._separation_port = self.DeclareAbstractInputPort(
-            "separation", Value(make_empty_separation(self._rings))
-        )
-        self._dsi_port = self.DeclareAbstractInputPort(
-            "dsi", Value(make_empty_safety_index(self._rings))
-        )
-        self._truth_port = self.DeclareVectorInputPort(
-            "truth", self._layout.size
-        )
-        self._scan_ports = [
-            self.DeclareAbstractInputPort(
-                f"masked_scan_{name}", Value(MaskedScan())
-            )
-            for name in (self._rings if num_sensors else ())
-        ]
-        self._log = self.DeclareCacheEntry(
-            description="log",
-            value_producer=ValueProducer(
-                allocate=lambda: Value(_Log(width, m, num_sensors)),
-                calc=ValueProducer.NoopCalc,
+        self._messages = builder.AddNamedSystem(
+            "message_log",
+            MessageLog(
+                period=period, rings=self._rings, has_scans=num_sensors > 0
             ),
-            prerequisites_of_calc={self.nothing_ticket()},
         )
-        self.DeclarePeriodicPublishEvent(period, 0.0, self._publish)
-        self.DeclareForcedPublishEvent(self._publish)
-
-    def _find_log(self, context) -> _Log:
-        entry = self._log.get_mutable_cache_entry_value(context)
-        return entry.GetMutableValueOrThrow()
-
-    def _publish(self, context):
-        log = self._find_log(context)
-        separation = self._separation_port.Eval(context)
-        dsi = self._dsi_port.Eval(context)
-        if separation is not log.last_separation or dsi is not log.last_dsi:
-            log.held = pack_safety(separation, dsi)
-            if separation is not log.last_separation:
-                self._record_scans(context, log, separation.sequence.tolist())
-            log.last_separation = separation
-            log.last_dsi = dsi
-        row = log.table.append()
-        plain = self._plain
-        row[0] = context.get_time()
-        row[self._q : self._v] = self._position_port.Eval(context)
-        row[self._v : plain] = self._velocity_port.Eval(context)
-        row[plain] = self._speed_fraction_port.Eval(context)[0]
-        row[plain + 1] = self._robot_state_port.Eval(context)[0]
-        row[plain + 2] = self._products_port.Eval(context)[0]
-        ring_states = self._ring_states_port.Eval(context)
-        row[self._state : self._truth] = ring_states
-        row[self._truth : self._held] = self._truth_port.Eval(context)
-        row[self._held :] = log.held
-        # Words cost more than numbers: one reason per change of state.
-        ring_states = ring_states.tolist()
-        if ring_states != log.last_ring_states:
-            log.last_ring_states = ring_states
-            log.reason.append((len(log.table), self._reason_port.Eval(context)))
-
-    def _record_scans(self, context, log, sequence):
-        """Keeps the scans that the new separation was made from."""
-        for i, port in enumerate(self._scan_ports):
-            if sequence[i] != log.sequence[i]:
-                log.sequence[i] = sequence[i]
-                scan = port.Eval(context)
-                if scan.scan.sequence >= 0:
-                    log.scans[i].append((context.get_time(), scan))
+        for i, name in enumerate(sizes):
+            builder.ExportInput(vectors.get_input_port(i), name)
+        for i in range(self._messages.num_input_ports()):
+            port = self._messages.get_input_port(i)
+            builder.ExportInput(port, port.get_name())
+        builder.BuildInto(self)
 
     def make_samples(self, root_context) -> Samples:
         """Returns what was recorded so far.
 
         Args:
-            root_context: Context of the Diagram, or of this system.
+            root_context: Context of the outermost Diagram, which may be this
+                system itself.
 
         Returns:
             New arrays; the recording may go on.
         """
-        log = self._find_log(self.GetMyContextFromRoot(root_context))
-        table = log.table.to_array()
-        m = len(self._rings)
-        truth = table[:, self._truth : self._held]
-        layout = self._layout
-        column = {
-            name: narrow_type(name, table[:, i])
-            for i, name in enumerate(self._names)
-        }
+        vector_log = self._vectors.FindLog(root_context)
+        log = self._messages.find_log(
+            self._messages.GetMyContextFromRoot(root_context)
+        )
+        log.pack()
+        data = vector_log.data().T
+        plain = {name: data[:, where] for name, where in self._part.items()}
+        t = vector_log.sample_times()
+        truth = self._calc_truth(plain)
+        layout = self._truth.layout
+        column = {}
 
-        def insert(name, values):
-            column[name] = narrow_type(name, values)
+        def insert(name, values, kind=None):
+            column[name] = narrow_type(kind or name, values)
 
+        states, reasons = self._lay_out_states(log, t)
+        insert("t", t)
+        for prefix, name in (("q", "position"), ("qd", "velocity")):
+            for i, values in enumerate(plain[name].T):
+                insert(f"{prefix}_{i}", values)
         insert("tcp_speed", truth[:, layout.tcp_speed])
+        insert("speed_fraction", plain["speed_fraction"][:, 0])
+        # psi is the lowest of the links' states (paper, II-A).
+        insert("robot_state", states.min(axis=1))
+        insert("products_placed", plain["products_placed"][:, 0])
         insert("true_distance", truth[:, layout.distance])
-        per_ring = {
-            name: table[:, self._held + j * m : self._held + (j + 1) * m]
-            for j, name in enumerate(_HELD)
+        per_ring = self._lay_out_messages(log, t) | {
+            "state": states,
+            "true_distance": truth[:, layout.ring_distance],
+            "true_azimuth": truth[:, layout.ring_azimuth],
+            "true_elevation": truth[:, layout.ring_elevation],
         }
-        per_ring["state"] = table[:, self._state : self._truth]
-        per_ring["true_distance"] = truth[:, layout.ring_distance]
-        per_ring["true_azimuth"] = truth[:, layout.ring_azimuth]
-        per_ring["true_elevation"] = truth[:, layout.ring_elevation]
         for i, ring in enumerate(self._rings):
-            for name, values in per_ring.items():
-                column[f"{ring}_{name}"] = narrow_type(name, values[:, i])
+            for name in RING_COLUMNS:
+                insert(f"{ring}_{name}", per_ring[name][:, i], name)
         insert("contact_speed", truth[:, layout.contact_speed])
         insert("robot_body", truth[:, layout.robot_body])
         insert("person_part", truth[:, layout.person_part])
@@ -340,14 +397,52 @@ class SampleRecorder(LeafSystem):
                 insert(f"{part}_{axis}", values)
         insert("person_x", truth[:, layout.person.start])
         insert("person_y", truth[:, layout.person.start + 1])
-        column["reason"] = _repeat_reasons(log.reason, len(log.table))
+        column["reason"] = reasons
         scan = {}
         if self._num_sensors:
             scan = {
-                ring: _unpack_scans(scans, self._num_sensors)
-                for ring, scans in zip(self._rings, log.scans, strict=True)
+                ring: self._join_scans(parts)
+                for ring, parts in zip(
+                    self._rings, log.packed_scans, strict=True
+                )
             }
-        ordered = {name: column.pop(name) for name in self._order}
-        return Samples(
-            column=ordered | column, scan=scan, metadata=dict(self._metadata)
-        )
+        return Samples(column=column, scan=scan, metadata=dict(self._metadata))
+
+    def _calc_truth(self, plain):
+        truth = np.empty((len(plain["position"]), self._truth.layout.size))
+        for start in range(0, len(truth), _TRUTH_ROWS):
+            part = slice(start, start + _TRUTH_ROWS)
+            truth[part] = self._truth.calc(
+                q=plain["position"][part],
+                qd=plain["velocity"][part],
+                skeleton=plain["skeleton"][part],
+            )
+        return truth
+
+    def _lay_out_messages(self, log, t):
+        # Nothing is known before the first, as at a start in mid-air.
+        parts = [
+            pack_messages(
+                [make_empty_separation(self._rings)],
+                [make_empty_safety_index(self._rings)],
+            ),
+            *log.packed,
+        ]
+        which = _find_in_force([-np.inf, *log.times], t)
+        return {name: values[which] for name, values in _join(parts).items()}
+
+    def _lay_out_states(self, log, t):
+        stop = [float(RobotState.STOP)] * len(self._rings)
+        states = np.array([stop, *log.ring_states])
+        reasons = np.array(["", *log.reasons], dtype=object)
+        which = _find_in_force([-np.inf, *log.state_times], t)
+        return states[which], reasons[which]
+
+    def _join_scans(self, parts):
+        if parts:
+            return _join(parts)
+        return {
+            "time": np.empty(0),
+            "distance": np.empty((0, self._num_sensors), dtype=np.float32),
+            "reading": np.empty((0, self._num_sensors), dtype=np.int8),
+        }

@@ -4,7 +4,7 @@ import numpy as np
 
 
 class TruthLayout:
-    """Where each quantity sits in the `truth` vector of `GroundTruth`.
+    """Where each quantity sits in the vector of a `TruthModel`.
 
     Attributes:
         num_rings: Number m of watched links.
@@ -13,7 +13,7 @@ class TruthLayout:
             depth of penetration, inf: no person.
         p_WR: Point on the robot's surface where it is least; NaN: no person.
         p_WH: Point on the person's surface, likewise.
-        robot_body: Index of that robot body in `GroundTruth.body_names`.
+        robot_body: Index of that robot body in `TruthModel.body_names`.
         person_part: Index of the person's capsule; -1: no person.
         contact_speed: Speed of the fastest touching robot point, m/s; 0 when
             nothing touches.
