@@ -68,8 +68,9 @@ class Scenario:
     # The Time-of-Flight sensors and how a ring samples.
     rings: TofRingConfig = dc.field(default_factory=TofRingConfig)
 
-    # First sample of the rings base, elbow and tool, s: their turns, so that
-    # not all rings use the host at once. *Assumed*.
+    # First sample of the rings base, elbow and tool, s; 0 is after one period.
+    # *Assumed*: all are triggered together; rings of equal phase are one
+    # system and cost one cast. Other values let them take turns.
     ring_phases: list[float] = dc.field(default_factory=lambda: [0.0, 0.0, 0.0])
 
     # Which readings are the robot's own.
