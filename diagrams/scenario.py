@@ -89,9 +89,11 @@ class Scenario:
             where: Name of the scenario in what the user wrote.
         """
         at = f"{where}." if where else ""
+        # Drake's generator takes a seed modulo 2^32.
         require(
-            self.random_seed >= 0,
-            f"{at}random_seed: {self.random_seed} must be 0 or more",
+            0 <= self.random_seed < 2**32,
+            f"{at}random_seed: {self.random_seed} must be from 0 to "
+            f"{2**32 - 1}",
         )
         require(
             0.0 < self.simulation_duration <= 86400.0,
@@ -113,6 +115,24 @@ class Scenario:
             value = getattr(self, field.name)
             if dc.is_dataclass(value):
                 value.check(f"{at}{field.name}")
+        self._check_ticks(at)
+
+    def _check_ticks(self, at):
+        """Raises UserError unless all agree on the control tick."""
+        tick = self.control_period
+        for name in ("program", "mask", "ssm"):
+            period = getattr(self, name).period
+            require(
+                period == tick,
+                f"{at}{name}.period: {period} must equal control_period "
+                f"({tick})",
+            )
+        steps = tick / self.robot.time_step
+        require(
+            round(steps) >= 1 and abs(steps - round(steps)) < 1e-6,
+            f"{at}robot.time_step: control_period ({tick}) must be a multiple "
+            f"of it, got {self.robot.time_step}",
+        )
 
 
 def find_default_scenarios() -> pathlib.Path:
@@ -169,27 +189,33 @@ def load_scenario(
             f"{', '.join(names)}"
         )
     check_yaml(children[name], Scenario, source, name)
-    scenario = _load(source, filename=str(filename), child_name=name)
+    scenario = _load(source, children[name], Scenario())
     if text.strip():
         node = parse_yaml(text, "--scenario-text")
         check_yaml(node, Scenario, "--scenario-text")
-        scenario = _load("--scenario-text", data=text, defaults=scenario)
+        scenario = _load("--scenario-text", node, scenario)
     scenario.check()
     return scenario
 
 
 def dump_scenario(scenario: Scenario) -> dict:
-    """Returns a scenario as plain values, every setting written out."""
+    """Returns a scenario as plain values, every setting written out.
+
+    What YAML says by a tag (`human: !NoHuman {}`) is a key `kind` here. As
+    `load_scenario` reads that as well, the values give the same run again.
+    """
     text = yaml_dump_typed(scenario, schema=Scenario)
-    return yaml.load(text, Loader=_PlainLoader)
+    values = yaml.load(text, Loader=_PlainLoader)
+    kind = type(scenario.human).__name__
+    return values | {"human": {"kind": kind} | values["human"]}
 
 
 class _PlainLoader(yaml.SafeLoader):
-    """Reads a mapping with a tag `!Name` as one with a key `kind`."""
+    """Reads a mapping with a tag as one without."""
 
 
 def _construct_tagged(loader, suffix, node):
-    return {"kind": suffix} | loader.construct_mapping(node, deep=True)
+    return loader.construct_mapping(node, deep=True)
 
 
 _PlainLoader.add_multi_constructor("!", _construct_tagged)
@@ -206,10 +232,11 @@ def _read(filename: pathlib.Path) -> str:
         raise UserError(f"{filename}: is not text in UTF-8") from None
 
 
-def _load(source: str, **kwargs) -> Scenario:
-    kwargs.setdefault("defaults", Scenario())
+def _load(source: str, node: yaml.Node, defaults: Scenario) -> Scenario:
     try:
-        return yaml_load_typed(schema=Scenario, **kwargs)
+        return yaml_load_typed(
+            schema=Scenario, data=yaml.serialize(node), defaults=defaults
+        )
     except (
         AssertionError,
         KeyError,

@@ -82,6 +82,7 @@ def _add_recorder(builder, scenario, station, monitor):
         "recorder",
         SampleRecorder(
             truth=truth,
+            motion=None if avatar is None else avatar.motion,
             period=scenario.control_period,
             num_sensors=scenario.sensors_per_ring,
             metadata=make_run_metadata(scenario, station, truth.body_names),
@@ -90,7 +91,6 @@ def _add_recorder(builder, scenario, station, monitor):
     for port, name in (
         ("position", "position_measured"),
         ("velocity", "velocity_measured"),
-        ("skeleton", "skeleton"),
         ("products_placed", "products_placed"),
     ):
         builder.Connect(

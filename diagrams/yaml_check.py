@@ -8,6 +8,7 @@ key and what would be right.
 import collections.abc
 import dataclasses as dc
 import difflib
+import math
 import types
 import typing
 
@@ -19,19 +20,22 @@ from tofssm_drake.errors import UserError
 _SCALARS = {
     bool: ("bool",),
     int: ("int",),
-    float: ("float", "int"),
+    # YAML 1.1 takes 1e-3 for text, Drake's loader does not.
+    float: ("float", "int", "str"),
     str: ("str", "float", "int", "bool", "timestamp"),
 }
 _WORDS = {
     bool: "true or false",
     int: "a whole number",
-    float: "a number",
+    float: "a finite number",
     str: "text",
 }
 
 
 def parse_yaml(text: str, source: str) -> yaml.MappingNode:
     """Parses a document into nodes that know their lines.
+
+    A key `kind: Name` means the tag `!Name`.
 
     Args:
         text: the document; empty means no settings.
@@ -57,7 +61,27 @@ def parse_yaml(text: str, source: str) -> yaml.MappingNode:
             f"{source}:{node.start_mark.line + 1}: must be a mapping of keys "
             f"to values"
         )
+    _tag_kinds(node, set())
     return node
+
+
+def _tag_kinds(node, seen):
+    """Turns a key `kind: Name`, which JSON can say as well, into `!Name`."""
+    if id(node) in seen or isinstance(node, yaml.ScalarNode):
+        return
+    seen.add(id(node))
+    if isinstance(node, yaml.SequenceNode):
+        for child in node.value:
+            _tag_kinds(child, seen)
+        return
+    pairs = []
+    for key, child in node.value:
+        if key.value == "kind" and isinstance(child, yaml.ScalarNode):
+            node.tag = f"!{child.value}"
+        else:
+            pairs.append((key, child))
+        _tag_kinds(child, seen)
+    node.value = pairs
 
 
 def get_children(node: yaml.MappingNode) -> dict[str, yaml.Node]:
@@ -101,6 +125,8 @@ def check_yaml(
         if schema is None:
             return
         origin = typing.get_origin(schema)
+    elif node.tag.startswith("!"):
+        fail(f"takes no kind, but has {node.tag}")
     if dc.is_dataclass(schema):
         if not isinstance(node, yaml.MappingNode):
             fail("must be a mapping of keys to values")
@@ -120,12 +146,16 @@ def check_yaml(
                 )
             check_yaml(child, known[key], source, path)
     elif origin is list or schema is np.ndarray:
-        item = typing.get_args(schema)[0] if origin is list else None
+        item = typing.get_args(schema)[0] if origin is list else float
         if not isinstance(node, yaml.SequenceNode):
             fail("must be a list, e.g. [0.0, 1.0]")
         for index, child in enumerate(node.value):
-            if item is not None:
-                check_yaml(child, item, source, f"{where}[{index}]")
+            is_row = schema is np.ndarray and isinstance(
+                child, yaml.SequenceNode
+            )
+            check_yaml(
+                child, schema if is_row else item, source, f"{where}[{index}]"
+            )
     elif origin in (dict, collections.abc.Mapping):
         if not isinstance(node, yaml.MappingNode):
             fail("must be a mapping of names to values")
@@ -134,8 +164,10 @@ def check_yaml(
             check_yaml(child, item, source, f"{where}.{key}")
     elif schema in _SCALARS:
         kind = node.tag.rpartition(":")[2]
-        if not isinstance(node, yaml.ScalarNode) or (
-            kind not in _SCALARS[schema]
+        if (
+            not isinstance(node, yaml.ScalarNode)
+            or kind not in _SCALARS[schema]
+            or (schema is float and not _is_number(node, kind))
         ):
             value = (
                 repr(node.value)
@@ -143,6 +175,15 @@ def check_yaml(
                 else "a mapping or list"
             )
             fail(f"must be {_WORDS[schema]}, not {value}")
+
+
+def _is_number(node, kind):
+    """Whether a scalar node is a finite number."""
+    try:
+        value = node.value if kind == "str" else yaml.safe_load(node.value)
+        return not node.style and math.isfinite(float(value))
+    except (OverflowError, TypeError, ValueError):
+        return False
 
 
 def _choose(node, members, fail):

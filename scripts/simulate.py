@@ -2,6 +2,7 @@
 
 import contextlib
 import json
+import logging
 from pathlib import Path
 import shlex
 import shutil
@@ -105,12 +106,14 @@ def simulate(
         duration=duration,
     )
     require_drawable(graphviz)
-    display = Meshcat() if meshcat or recording else None
+    display = make_display() if meshcat or recording else None
     workcell = make_workcell(scenario, meshcat=display)
     # Whatever a user can get wrong is known by now: nothing is written before.
     make_folder(out)
     if graphviz:
         draw_diagram(workcell.diagram, graphviz)
+    if meshcat:
+        print(f"watch at {display.web_url()}")
     if recording:
         start_recording(display, live=meshcat)
     samples, progress = run(workcell, scenario, live=meshcat)
@@ -129,6 +132,9 @@ def simulate(
             samples=samples,
             title=f"tofssm_drake: {scenario_name}",
         )
+    else:
+        # One of an earlier run would be taken for this one's.
+        (out / "recording.html").unlink(missing_ok=True)
     tell(summary, out)
     return 130 if summary["interrupted"] else 0
 
@@ -173,6 +179,17 @@ def override(
     if duration is not None:
         scenario.simulation_duration = duration
     scenario.check()
+
+
+def make_display() -> Meshcat:
+    """Makes a Meshcat that does not write its address to stderr."""
+    logger = logging.getLogger("drake")
+    level = logger.level
+    logger.setLevel(logging.WARNING)
+    try:
+        return Meshcat()
+    finally:
+        logger.setLevel(level)
 
 
 def require_drawable(filename: Path | None) -> None:

@@ -14,6 +14,7 @@ from tofssm_drake.diagrams.monitor import make_monitor
 from tofssm_drake.diagrams.scenario import load_scenario
 from tofssm_drake.diagrams.station import make_station
 from tofssm_drake.diagrams.workcell import make_workcell
+from tofssm_drake.evaluation.ground_truth import GroundTruth, TruthModel
 import tofssm_drake.robot.sim_ur10 as sim_ur10
 
 _MARKER = ".. pydrake_system::"
@@ -79,9 +80,22 @@ class TestSystemBlocks(unittest.TestCase):
         for key, names in ports.items():
             self.assertEqual(block.get(key, []), names, block["name"])
 
-    def test_every_public_system_of_the_loop(self):
+    def make_systems_beside_the_loop(self):
+        """Public systems that the workcell itself does without."""
+        station = self.workcell.station
+        model = TruthModel(
+            plant=station.plant,
+            inspector=station.scene_graph.model_inspector(),
+            radii=station.avatar.radii,
+        )
+        return [GroundTruth(model=model)]
+
+    def test_every_public_system(self):
         seen = set()
-        for system in find_systems(self.workcell.diagram):
+        for system in (
+            *find_systems(self.workcell.diagram),
+            *self.make_systems_beside_the_loop(),
+        ):
             if type(system).__module__.startswith("tofssm_drake."):
                 with self.subTest(system=type(system).__name__):
                     self.check(system, type(system).__doc__)

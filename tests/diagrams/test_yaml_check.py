@@ -3,6 +3,7 @@ import unittest
 
 import numpy as np
 from pydrake.common.yaml import yaml_load_typed
+import yaml
 
 import tofssm_drake.diagrams.yaml_check as mut
 from tofssm_drake.errors import UserError
@@ -45,6 +46,8 @@ class TestCheckYaml(unittest.TestCase):
             "human: !_Nobody {}",
             "human: {speed: 1}",
             "human: !_Walk {speed: 1.5}",
+            "human: !_Nobody {}",
+            "{height: 1e-3, limits: {a: 1E5}, matrix: [[1, 2], [3, 4]]}",
         ):
             with self.subTest(text=text):
                 _check(text)
@@ -62,12 +65,28 @@ class TestCheckYaml(unittest.TestCase):
             ("sensors: eight", "must be a whole number, not 'eight'"),
             ("enabled: 1", "enabled: must be true or false, not '1'"),
             ("center: 3", "center: must be a list"),
-            ("center: [1, b]", r"center\[1\]: must be a number, not 'b'"),
-            ("limits: {a: b}", "limits.a: must be a number"),
+            (
+                "center: [1, b]",
+                r"center\[1\]: must be a finite number, not 'b'",
+            ),
+            ("limits: {a: b}", "limits.a: must be a finite number"),
             ("limits: 3", "limits: must be a mapping"),
             ("human: {sped: 1}", "human.sped: unknown key; did you mean"),
             ("human: !Robot {}", "unknown kind !Robot; one of !_Walk, !_Nob"),
             ("human: !_Nobody {speed: 1}", "human.speed: unknown key"),
+            ("height: .nan", "height: must be a finite number, not '.nan'"),
+            ("height: -.inf", "height: must be a finite number"),
+            ("height: nan", "height: must be a finite number"),
+            ("height: 1.0e+999", "height: must be a finite number"),
+            ("height: 1" + 400 * "0", "height: must be a finite number"),
+            ("height: '1.0'", "height: must be a finite number"),
+            ("center: [1, .inf]", r"center\[1\]: must be a finite number"),
+            ("matrix: [1, .nan]", r"matrix\[1\]: must be a finite number"),
+            ("matrix: [[1, a]]", r"matrix\[0\]\[1\]: must be a finite"),
+            ("human: {kind: Robot}", "unknown kind !Robot"),
+            ("human: {kind: _Nobody, speed: 1}", "human.speed: unknown key"),
+            ("sensors: !Many 3", "sensors: takes no kind, but has !Many"),
+            ("kind: Cell", "scenario: takes no kind"),
             ("human: 3", "human: must be a mapping"),
             ("name: [1]", "name: must be text, not a mapping or list"),
             ("[1, 2]", "cell.yaml:1: must be a mapping"),
@@ -79,6 +98,18 @@ class TestCheckYaml(unittest.TestCase):
                 with self.assertRaisesRegex(UserError, message) as context:
                     _check(text)
                 self.assertNotIn("\n", str(context.exception))
+
+    def test_a_key_kind_is_a_tag(self):
+        for text in (
+            "human: {kind: _Nobody}",
+            '{"human": {"kind": "_Nobody"}}',
+            "human: !_Nobody {}",
+        ):
+            with self.subTest(text=text):
+                node = mut.parse_yaml(text, "x")
+                mut.check_yaml(node, _Cell, "x")
+                cell = yaml_load_typed(schema=_Cell, data=yaml.serialize(node))
+                self.assertEqual(cell.human, _Nobody())
 
     def test_merged_keys_are_checked_too(self):
         text = "base: &base {sped: 1}\nhuman:\n  <<: *base\n"

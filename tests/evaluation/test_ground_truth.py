@@ -39,9 +39,10 @@ class TestGroundTruth(unittest.TestCase):
         self._build(RADII)
 
     def _build(self, radii):
-        self.dut = mut.GroundTruth(
+        self.model = mut.TruthModel(
             plant=self.plant, inspector=self.inspector, radii=radii, pelvis=1
         )
+        self.dut = mut.GroundTruth(model=self.model)
         self.context = self.dut.CreateDefaultContext()
 
     def _pose(self, q, v, ends):
@@ -112,7 +113,7 @@ class TestGroundTruth(unittest.TestCase):
                     truth[LAYOUT.distance],
                 )
                 self.assertEqual(
-                    self.dut.body_names[int(truth[LAYOUT.robot_body])],
+                    self.model.body_names[int(truth[LAYOUT.robot_body])],
                     self._get_body(nearest).name(),
                 )
 
@@ -264,6 +265,17 @@ class TestGroundTruth(unittest.TestCase):
         self.assertEqual(truth[LAYOUT.person_part], -1)
         self.assertEqual(truth[LAYOUT.contact_speed], 0.0)
         self.assertGreater(truth[LAYOUT.tcp_speed], 0.0)
+
+    def test_rows_equal_the_port(self):
+        """A whole record gives the numbers of the system, one by one."""
+        k = 5
+        q, v = self.rng.uniform(-2, 2, (2, k, 6))
+        ends = self.rng.uniform(-1, 1, (k, 3, 2, 3))
+        rows = self.model.calc(q=q, qd=v, skeleton=ends.reshape(k, -1))
+        self.assertEqual(rows.shape, (k, LAYOUT.size))
+        for i in range(k):
+            self._pose(q[i], v[i], ends[i])
+            np.testing.assert_array_equal(rows[i], self._eval("truth"))
 
     def test_feedthrough_is_declared(self):
         """Only the three inputs, hence no algebraic loop with the monitor."""

@@ -4,11 +4,12 @@ import unittest
 import numpy as np
 from pydrake.common.value import Value
 from pydrake.systems.analysis import Simulator
-from pydrake.systems.framework import LeafSystem
 
 import tofssm_drake.evaluation.recorder as mut
 from tofssm_drake.evaluation.samples import RING_COLUMNS
 from tofssm_drake.evaluation.truth import TruthLayout
+from tofssm_drake.human.motion import capsule_ends
+from tofssm_drake.human.walk import GeneratedWalk, make_walk
 from tofssm_drake.messages import (
     MaskedScan,
     Reading,
@@ -23,13 +24,11 @@ _PORTS = [
     "position",
     "velocity",
     "speed_fraction",
-    "robot_state",
-    "ring_states",
     "products_placed",
+    "ring_states",
     "reason",
     "separation",
     "dsi",
-    "truth",
     "masked_scan_base",
     "masked_scan_elbow",
     "masked_scan_tool",
@@ -79,21 +78,37 @@ def _make_scan(sequence):
     )
 
 
+class _CountingTruth:
+    """Stands for a TruthModel: each quantity is its place in the vector."""
+
+    num_positions = 6
+    skeleton_size = 0
+
+    def __init__(self, num_rings=3):
+        self.layout = TruthLayout(num_rings)
+
+    def calc(self, *, q, qd, skeleton):
+        truth = np.tile(np.arange(float(self.layout.size)), (len(q), 1))
+        # What it was asked for.
+        truth[:, self.layout.contact_speed] = q[:, 1] + qd[:, 1]
+        return truth
+
+
 class TestSampleRecorder(unittest.TestCase):
     def setUp(self):
         self.dut = mut.SampleRecorder(
-            num_sensors=4, metadata={"seed": 3, "products": 10}
+            truth=_CountingTruth(),
+            num_sensors=4,
+            metadata={"seed": 3, "products": 10},
         )
-        self.context = self.dut.CreateDefaultContext()
-        self.truth = np.arange(TruthLayout(3).size, dtype=float)
+        self.simulator = Simulator(self.dut)
+        self.context = self.simulator.get_mutable_context()
         for name, value in {
             "position": np.arange(6.0),
             "velocity": np.arange(6.0) / 10,
             "speed_fraction": [0.5],
-            "robot_state": [1],
-            "ring_states": [2, 1, 0],
             "products_placed": [7],
-            "truth": self.truth,
+            "ring_states": [2, 1, 0],
             "reason": Value("base: near"),
             "separation": Value(_make_separation()),
             "dsi": Value(_make_dsi()),
@@ -102,10 +117,17 @@ class TestSampleRecorder(unittest.TestCase):
                 for ring in ("base", "elbow", "tool")
             },
         }.items():
-            self.dut.GetInputPort(name).FixValue(self.context, value)
+            self._fix(name, value)
 
     def _fix(self, name, value):
         self.dut.GetInputPort(name).FixValue(self.context, value)
+
+    def _advance(self, ticks):
+        """Runs to just before tick number `ticks`."""
+        self.simulator.AdvanceTo(0.008 * ticks - 0.004)
+
+    def _make_samples(self):
+        return self.dut.make_samples(self.context)
 
     def test_ports(self):
         self.assertEqual(
@@ -118,22 +140,21 @@ class TestSampleRecorder(unittest.TestCase):
         self.assertEqual(self.dut.num_output_ports(), 0)
 
     def test_row(self):
-        self.context.SetTime(0.25)
-        self.dut.ForcedPublish(self.context)
-        samples = self.dut.make_samples(self.context)
-        self.assertEqual(len(samples), 1)
+        self._advance(2)
+        samples = self._make_samples()
+        self.assertEqual(len(samples), 2)
         layout = TruthLayout(3)
-        row = {name: values[0] for name, values in samples.column.items()}
-        self.assertEqual(row["t"], 0.25)
+        row = {name: values[1] for name, values in samples.column.items()}
+        self.assertEqual(row["t"], 0.008)
         self.assertEqual([row[f"q_{i}"] for i in range(6)], [0, 1, 2, 3, 4, 5])
         self.assertEqual(row["qd_3"], 0.3)
         self.assertEqual(row["speed_fraction"], 0.5)
-        self.assertEqual(row["robot_state"], 1)
+        self.assertEqual(row["robot_state"], 0)
         self.assertEqual(row["products_placed"], 7)
         self.assertEqual(row["reason"], "base: near")
         self.assertEqual(row["tcp_speed"], layout.tcp_speed)
         self.assertEqual(row["true_distance"], layout.distance)
-        self.assertEqual(row["contact_speed"], layout.contact_speed)
+        self.assertEqual(row["contact_speed"], 1.1)
         self.assertEqual(row["person_point_y"], layout.p_WH.start + 1)
         self.assertEqual(row["tcp_z"], layout.p_WT.start + 2)
         self.assertEqual(row["person_y"], layout.person.start + 1)
@@ -162,7 +183,7 @@ class TestSampleRecorder(unittest.TestCase):
         self.assertEqual(row["elbow_sequence"], 5)
 
     def test_columns_in_order(self):
-        self.dut.ForcedPublish(self.context)
+        self._advance(1)
         names = list(self.dut.make_samples(self.context).column)
         expected = [
             "t",
@@ -185,16 +206,15 @@ class TestSampleRecorder(unittest.TestCase):
     def test_scans(self):
         """A scan is recorded once, when it is new; none before the first."""
         self._fix("separation", Value(make_empty_separation()))
-        self.dut.ForcedPublish(self.context)
+        self._advance(1)
         for tick, sequence in enumerate([0, 0, 1]):
             self._fix("masked_scan_elbow", Value(_make_scan(sequence)))
             self._fix("separation", Value(_make_separation([-1, sequence, -1])))
-            self.context.SetTime(1.0 + tick)
-            self.dut.ForcedPublish(self.context)
+            self._advance(tick + 2)
         scan = self.dut.make_samples(self.context).scan
         self.assertEqual(list(scan), ["base", "elbow", "tool"])
         self.assertEqual(scan["base"]["reading"].shape, (0, 4))
-        np.testing.assert_array_equal(scan["elbow"]["time"], [1.0, 3.0])
+        np.testing.assert_array_equal(scan["elbow"]["time"], [0.008, 0.024])
         np.testing.assert_allclose(
             scan["elbow"]["distance"],
             [[0.4, 0.5, np.inf, np.nan], [0.41, 0.51, np.inf, np.nan]],
@@ -204,37 +224,80 @@ class TestSampleRecorder(unittest.TestCase):
             scan["elbow"]["reading"], [[1, 2, 0, 3]] * 2
         )
 
-    def test_new_message_is_noticed(self):
-        """The packed row follows a new index under an old separation."""
-        self.dut.ForcedPublish(self.context)
+    def test_row_is_before_the_update(self):
+        """A message of a tick is in force in the next row, not in its own."""
+        self._advance(2)
         dsi = dc.replace(_make_dsi(), d_C=np.array([9.0, 9.1, 9.2]))
         self._fix("dsi", Value(dsi))
-        self.dut.ForcedPublish(self.context)
-        samples = self.dut.make_samples(self.context)
-        np.testing.assert_array_equal(samples["elbow_d_C"], [0.6, 9.1])
+        self._fix("separation", Value(_make_separation()))
+        self._fix("speed_fraction", [0.75])
+        self._fix("ring_states", [2, 2, 1])
+        self._fix("reason", Value("tool: far"))
+        self._advance(4)
+        samples = self._make_samples()
+        np.testing.assert_array_equal(
+            samples["elbow_d_C"], [0.6, 0.6, 0.6, 9.1]
+        )
+        np.testing.assert_array_equal(samples["robot_state"], [0, 0, 0, 1])
+        np.testing.assert_array_equal(samples["elbow_state"], [1, 1, 1, 2])
+        self.assertEqual(
+            list(samples["reason"]), ["base: near"] * 3 + ["tool: far"]
+        )
+        # A vector is what its port says when the tick begins.
+        np.testing.assert_array_equal(
+            samples["speed_fraction"], [0.5, 0.5, 0.75, 0.75]
+        )
+
+    def test_reason_belongs_to_the_robot_state(self):
+        """It is asked for when the robot's state changes, not a link's."""
+        self._advance(1)
+        self._fix("ring_states", [1, 1, 0])
+        self._fix("reason", Value("tool: nearer"))
+        self._advance(3)
+        samples = self._make_samples()
+        self.assertEqual(samples["base_state"][-1], 1)
+        self.assertEqual(samples["reason"][-1], "base: near")
 
     def test_period(self):
-        simulator = Simulator(self.dut, self.context)
-        simulator.AdvanceTo(0.08)
-        t = self.dut.make_samples(self.context)["t"]
+        self.simulator.AdvanceTo(0.08)
+        t = self._make_samples()["t"]
         np.testing.assert_allclose(t, 0.008 * np.arange(11), atol=1e-12)
 
     def test_contexts_do_not_share(self):
-        self.dut.ForcedPublish(self.context)
-        other = self.context.Clone()
-        self.dut.ForcedPublish(other)
-        self.dut.ForcedPublish(other)
-        self.assertEqual(len(self.dut.make_samples(self.context)), 1)
-        self.assertEqual(len(self.dut.make_samples(other)), 3)
+        self._advance(1)
+        other = Simulator(self.dut, self.context.Clone())
+        other.AdvanceTo(0.02)
+        self.assertEqual(len(self._make_samples()), 1)
+        samples = self.dut.make_samples(other.get_context())
+        self.assertEqual(len(samples), 3)
+        self.assertEqual(samples["base_d_C"][-1], 0.5)
 
-    def test_many_rows(self):
-        """Blocks are chained without losing or changing a row."""
-        for i in range(4100):
-            self.context.SetTime(i)
-            self.dut.ForcedPublish(self.context)
-        samples = self.dut.make_samples(self.context)
-        np.testing.assert_array_equal(samples["t"], np.arange(4100.0))
-        self.assertTrue(np.all(samples["q_5"] == 5.0))
+    def test_before_anything_came(self):
+        """Without a start nothing is in force: stopped, distance unknown."""
+        self.dut.ForcedPublish(self.context)
+        samples = self._make_samples()
+        self.assertEqual(samples["robot_state"], [0])
+        self.assertEqual(samples["reason"], [""])
+        self.assertTrue(np.isnan(samples["base_measured_distance"][0]))
+
+    def test_many_messages(self):
+        """Packing on the way loses and changes nothing."""
+        ticks = 1100
+        for i in range(ticks):
+            self._fix("separation", Value(_make_separation([i, i, i])))
+            self._fix("masked_scan_tool", Value(_make_scan(i)))
+            self._advance(i + 1)
+        samples = self._make_samples()
+        # Row 0 is the start, which saw the first message as well.
+        expected = np.append(0, np.arange(ticks - 1))
+        np.testing.assert_array_equal(samples["tool_sequence"], expected)
+        scan = samples.scan["tool"]
+        np.testing.assert_allclose(
+            scan["distance"][:, 0], 0.4 + 0.01 * np.arange(ticks), rtol=1e-6
+        )
+        # Asking does not end the recording.
+        self._advance(ticks + 3)
+        self.assertEqual(len(self._make_samples()), ticks + 3)
 
     def test_metadata(self):
         samples = self.dut.make_samples(self.context)
@@ -244,17 +307,18 @@ class TestSampleRecorder(unittest.TestCase):
 
     def test_one_link_without_rings(self):
         """The lidar has one watched link and no ring scans."""
-        dut = mut.SampleRecorder(rings=("lidar",), num_sensors=0)
-        self.assertEqual(dut.num_input_ports(), 10)
-        context = dut.CreateDefaultContext()
+        dut = mut.SampleRecorder(
+            truth=_CountingTruth(1), rings=("lidar",), num_sensors=0
+        )
+        self.assertEqual(dut.num_input_ports(), 8)
+        simulator = Simulator(dut)
+        context = simulator.get_mutable_context()
         for port, size in (
             ("position", 6),
             ("velocity", 6),
             ("speed_fraction", 1),
-            ("robot_state", 1),
-            ("ring_states", 1),
             ("products_placed", 1),
-            ("truth", TruthLayout(1).size),
+            ("ring_states", 1),
         ):
             dut.GetInputPort(port).FixValue(context, np.zeros(size))
         dut.GetInputPort("reason").FixValue(context, Value(""))
@@ -263,15 +327,46 @@ class TestSampleRecorder(unittest.TestCase):
             ("dsi", make_empty_safety_index),
         ):
             dut.GetInputPort(port).FixValue(context, Value(make(("lidar",))))
-        dut.ForcedPublish(context)
+        simulator.Initialize()
         samples = dut.make_samples(context)
         self.assertTrue(np.isnan(samples["lidar_measured_distance"][0]))
         self.assertEqual(samples["lidar_d_C"][0], np.inf)
         self.assertEqual(samples.scan, {})
 
+    def test_person_follows_from_time(self):
+        """The truth is asked with the skeleton of each row's time."""
+        asked = []
 
-class TestIsLeafSystem(unittest.TestCase):
+        class Truth(_CountingTruth):
+            def calc(self, *, q, qd, skeleton):
+                asked.append(skeleton)
+                return super().calc(q=q, qd=qd, skeleton=skeleton)
+
+        motion = make_walk(GeneratedWalk(), 0.008)
+        self.dut = mut.SampleRecorder(
+            truth=Truth(), motion=motion, num_sensors=4
+        )
+        context = self.dut.CreateDefaultContext()
+        context.SetTime(1.5)
+        for name, size in (
+            ("position", 6),
+            ("velocity", 6),
+            ("speed_fraction", 1),
+            ("products_placed", 1),
+        ):
+            self.dut.GetInputPort(name).FixValue(context, np.zeros(size))
+        self.dut.GetSubsystemByName("vector_log").ForcedPublish(
+            self.dut.GetSubsystemContext(
+                self.dut.GetSubsystemByName("vector_log"), context
+            )
+        )
+        self.dut.make_samples(context)
+        np.testing.assert_array_equal(
+            asked[0], [capsule_ends(motion, 1.5).ravel()]
+        )
+
+
+class TestNoState(unittest.TestCase):
     def test_no_state(self):
-        dut = mut.SampleRecorder()
-        self.assertIsInstance(dut, LeafSystem)
+        dut = mut.SampleRecorder(truth=_CountingTruth())
         self.assertTrue(dut.CreateDefaultContext().is_stateless())

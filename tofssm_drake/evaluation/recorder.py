@@ -15,6 +15,7 @@ from pydrake.systems.primitives import Multiplexer, VectorLogSink
 
 from tofssm_drake.evaluation.ground_truth import TruthModel
 from tofssm_drake.evaluation.samples import RING_COLUMNS, Samples, narrow_type
+from tofssm_drake.human.motion import HumanMotion, capsule_ends
 from tofssm_drake.messages import (
     RINGS,
     MaskedScan,
@@ -28,7 +29,7 @@ from tofssm_drake.messages import (
 
 # Messages are kept as they are until there are so many.
 _PACK_AT = 512
-# Rows of truth per call: as much of the log as is copied at a time.
+# Rows of truth per call, so that few skeletons exist at a time.
 _TRUTH_ROWS = 1024
 
 _COUNTS = ("clear", "valid", "masked", "faulted")
@@ -84,8 +85,11 @@ class _Scan(NamedTuple):
 
 def _pack_scans(scans):
     """Returns k > 0 scans of one ring as `Samples.scan` has them."""
-    reading = np.stack([scan.reading for scan in scans]).astype(np.int8)
-    distance = np.stack([scan.distance for scan in scans]).astype(np.float32)
+    shape = (len(scans), -1)
+    reading = np.concatenate([scan.reading for scan in scans])
+    reading = reading.astype(np.int8).reshape(shape)
+    distance = np.concatenate([scan.distance for scan in scans])
+    distance = distance.astype(np.float32).reshape(shape)
     distance[reading == Reading.CLEAR] = np.inf
     distance[reading == Reading.FAULTED] = np.nan
     return {
@@ -204,8 +208,7 @@ class MessageLog(LeafSystem):
 
     def find_log(self, context) -> _Log:
         """Returns the log of one of this system's Contexts."""
-        entry = self._log.get_mutable_cache_entry_value(context)
-        return entry.GetMutableValueOrThrow()
+        return self._log.Eval(context)
 
     def _start(self, context):
         self._record(context, -np.inf)
@@ -225,13 +228,16 @@ class MessageLog(LeafSystem):
             self._record_scans(context, log, separation.sequence.tolist())
             if len(log.separations) == _PACK_AT:
                 log.pack()
-        # Words cost more than numbers: one reason per change of state.
         states = self._ring_states_port.Eval(context).tolist()
         if states != log.states:
+            # Words cost more than numbers: one reason per robot state.
+            if log.states is None or min(states) != min(log.states):
+                log.reasons.append(self._reason_port.Eval(context))
+            else:
+                log.reasons.append(log.reasons[-1])
             log.states = states
             log.state_times.append(time)
             log.ring_states.append(states)
-            log.reasons.append(self._reason_port.Eval(context))
 
     def _record_scans(self, context, log, sequence):
         """Keeps the scans that the new separation was made from."""
@@ -258,7 +264,6 @@ class SampleRecorder(Diagram):
         input_ports:
         - position
         - velocity
-        - skeleton
         - speed_fraction
         - products_placed
         - ring_states
@@ -269,8 +274,9 @@ class SampleRecorder(Diagram):
         - masked_scan_elbow
         - masked_scan_tool
 
-    `position` (rad), `velocity` (rad/s) and `skeleton` (as `GroundTruth` has
-    them) are the world's; the rest is the monitor's.
+    `position` (rad), `velocity` (rad/s) and `products_placed` are the world's;
+    the rest is the monitor's. The person needs no port: where it is follows
+    from its motion and the time.
 
     A log has no dynamics and affects no output, so it is not State: it lives
     in the Context like that of Drake's VectorLogSink. A row at t holds what
@@ -281,6 +287,7 @@ class SampleRecorder(Diagram):
 
     Args:
         truth: What computes the truth; its links are those of `rings`.
+        motion: How the person moves; None: nobody.
         period: Control tick, s.
         rings: Names of the m watched links, as in the messages.
         num_sensors: Sensors per ring. 0 declares no `masked_scan` ports and
@@ -293,6 +300,7 @@ class SampleRecorder(Diagram):
         self,
         *,
         truth: TruthModel,
+        motion: HumanMotion | None = None,
         period: float = 0.008,
         rings: tuple[str, ...] = RINGS,
         num_sensors: int = 8,
@@ -300,6 +308,7 @@ class SampleRecorder(Diagram):
     ):
         super().__init__()
         self._truth = truth
+        self._motion = motion
         self._rings = tuple(rings)
         self._num_sensors = num_sensors
         self._metadata = {"rings": list(rings), "period": period}
@@ -308,7 +317,6 @@ class SampleRecorder(Diagram):
         sizes = {
             "position": truth.num_positions,
             "velocity": truth.num_positions,
-            "skeleton": truth.skeleton_size,
             "speed_fraction": 1,
             "products_placed": 1,
         }
@@ -358,7 +366,7 @@ class SampleRecorder(Diagram):
         data = vector_log.data().T
         plain = {name: data[:, where] for name, where in self._part.items()}
         t = vector_log.sample_times()
-        truth = self._calc_truth(plain)
+        truth = self._calc_truth(plain, t)
         layout = self._truth.layout
         column = {}
 
@@ -408,16 +416,21 @@ class SampleRecorder(Diagram):
             }
         return Samples(column=column, scan=scan, metadata=dict(self._metadata))
 
-    def _calc_truth(self, plain):
-        truth = np.empty((len(plain["position"]), self._truth.layout.size))
-        for start in range(0, len(truth), _TRUTH_ROWS):
+    def _calc_truth(self, plain, t):
+        truth = np.empty((len(t), self._truth.layout.size))
+        for start in range(0, len(t), _TRUTH_ROWS):
             part = slice(start, start + _TRUTH_ROWS)
             truth[part] = self._truth.calc(
                 q=plain["position"][part],
                 qd=plain["velocity"][part],
-                skeleton=plain["skeleton"][part],
+                skeleton=self._calc_skeletons(t[part]),
             )
         return truth
+
+    def _calc_skeletons(self, t):
+        if self._motion is None:
+            return np.empty((len(t), 0))
+        return np.stack([capsule_ends(self._motion, x).ravel() for x in t])
 
     def _lay_out_messages(self, log, t):
         # Nothing is known before the first, as at a start in mid-air.

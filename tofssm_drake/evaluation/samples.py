@@ -77,8 +77,8 @@ class Samples:
 
     Attributes:
         column: Arrays of equal length by name, one element per tick.
-        scan: Per ring: `time` (k,), when each of k scans was first seen by
-            the recorder, s; `distance` (k, n), m, inf where clear and NaN
+        scan: Per ring: `time` (k,), the tick at which the monitor got each
+            of k scans, s; `distance` (k, n), m, inf where clear and NaN
             where faulted; `reading` (k, n).
         metadata: Plain values (JSON): `rings`, `robot_bodies`,
             `person_parts`, `scenario`, `seed`, ...

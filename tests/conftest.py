@@ -1,5 +1,7 @@
+"""Settings of all tests."""
+
 from hypothesis import settings
 
-# The first call compiles: no deadline on single examples.
+# The first call of a kernel compiles it: no deadline on single examples.
 settings.register_profile("tofssm", deadline=None)
 settings.load_profile("tofssm")

@@ -1,0 +1,493 @@
+"""The command line: what it writes, and how it fails."""
+
+import json
+import os
+from pathlib import Path
+import signal
+import subprocess
+import sys
+import time
+
+from bvh_writer import write_bvh
+import numpy as np
+import pytest
+
+import tofssm_drake.diagrams.simulation as simulation
+from tofssm_drake.evaluation.samples import read_samples
+from tofssm_drake.messages import RINGS
+import tofssm_drake.scripts.main as mut
+
+FILES = {"summary.json", "samples.parquet", "scans.parquet", "report.html"}
+
+SHORT = ("--duration", "0.4", "--no-recording")
+
+SUMMARY_KEYS = {
+    "products_placed",
+    "task_time_s",
+    "stop_events",
+    "reduce_events",
+    "stopped_s",
+    "reduced_s",
+    "min_true_distance_m",
+    "contact_while_moving_events",
+    "max_tcp_speed_mps",
+    "distance_rmse_m",
+    "real_time_factor",
+    "seed",
+    "scenario",
+    "versions",
+}
+
+COLUMNS = {
+    "t",
+    *(f"q_{i}" for i in range(6)),
+    *(f"qd_{i}" for i in range(6)),
+    "tcp_speed",
+    "speed_fraction",
+    "robot_state",
+    "products_placed",
+    "true_distance",
+}
+
+RING_COLUMNS = (
+    "state",
+    "measured_distance",
+    "true_distance",
+    "closing_speed",
+    "d_C",
+    "d_R",
+    "dsi_raw",
+    "dsi",
+    "dsi_C",
+    "dsi_R",
+    "valid",
+    "masked",
+    "faulted",
+)
+
+
+def run(*arguments):
+    return mut.run(["simulate", *map(str, arguments)])
+
+
+def read_summary(out):
+    return json.loads((out / "summary.json").read_text())
+
+
+def check_readable(out, *, files=FILES):
+    """Reads everything in a folder; returns summary and samples."""
+    assert {path.name for path in out.iterdir()} == files
+    summary = read_summary(out)
+    samples = read_samples(out)
+    assert set(samples.scan) == set(RINGS)
+    report = (out / "report.html").read_text("utf-8")
+    assert report.rstrip().endswith("</html>")
+    return summary, samples
+
+
+@pytest.fixture(scope="module")
+def short_run(tmp_path_factory):
+    """A short run of the default scenario, into a folder yet to be made."""
+    out = tmp_path_factory.mktemp("run") / "a" / "b"
+    assert run(*SHORT, "--seed", 5, "--ssm", "VR", "--out", out) == 0
+    return out
+
+
+class TestResults:
+    def test_all_files_are_written_and_readable(self, short_run):
+        summary, samples = check_readable(short_run)
+        assert summary["interrupted"] is False
+        assert summary["simulated_s"] == pytest.approx(0.4, abs=0.0081)
+        # One row per tick, the first one at 0 and the last one at the end.
+        np.testing.assert_allclose(
+            samples["t"], 0.008 * np.arange(51), atol=1e-9
+        )
+
+    def test_summary_holds_every_key(self, short_run):
+        summary = read_summary(short_run)
+        assert SUMMARY_KEYS <= set(summary)
+        assert summary["seed"] == 5
+        assert summary["scenario"]["ssm"]["configuration"] == "vr"
+        assert summary["scenario"]["simulation_duration"] == 0.4
+        assert summary["scenario"]["human"]["kind"] == "GeneratedWalk"
+        assert summary["real_time_factor"] > 0.0
+        for package in ("tofssm-drake", "drake", "numpy", "python"):
+            assert summary["versions"][package][0].isdigit()
+
+    def test_samples_hold_every_column(self, short_run):
+        _, samples = check_readable(short_run)
+        assert set(samples.column) >= COLUMNS | {
+            f"{ring}_{name}" for ring in RINGS for name in RING_COLUMNS
+        }
+        assert {len(values) for values in samples.column.values()} == {51}
+
+    def test_report_tells_what_was_run(self, short_run):
+        report = (short_run / "report.html").read_text("utf-8")
+        for word in ("Default", "vr", "products", "speed"):
+            assert word in report
+
+    def test_the_installed_command_gives_the_same(self, short_run, tmp_path):
+        out = tmp_path / "out"
+        done = subprocess.run(
+            [
+                Path(sys.executable).with_name("tofssm"),
+                "simulate",
+                *SHORT,
+                *("--seed", "5", "--ssm", "vr", "--out", "out"),
+            ],
+            cwd=tmp_path,
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        assert done.returncode == 0, done.stderr
+        assert "Traceback" not in done.stderr
+        assert str(out / "report.html") in done.stdout.splitlines()
+        summary, samples = check_readable(out)
+        _, expected = check_readable(short_run)
+        assert set(samples.column) == set(expected.column)
+        for name, values in expected.column.items():
+            np.testing.assert_array_equal(samples[name], values, name)
+        metadata = dict(samples.metadata)
+        command = metadata.pop("command")
+        assert command.endswith("simulate " + " ".join(done.args[2:]))
+        assert metadata == {
+            key: value
+            for key, value in expected.metadata.items()
+            if key != "command"
+        }
+        assert summary["seed"] == 5
+
+
+@pytest.fixture(scope="module")
+def full_run(tmp_path_factory):
+    """A run with every option that adds something to what is written."""
+    folder = tmp_path_factory.mktemp("full")
+    bvh = write_bvh(folder / "walk.bvh")
+    (folder / "out").mkdir()
+    code = run(
+        *("--duration", 0.4, "--sensors-per-ring", 16),
+        *("--human-motion", bvh, "--scenario-name", "IdealSensors"),
+        *("--scenario-text", "{human: {speed: 1.1}, random_seed: 2}"),
+        *("--graphviz", folder / "cell.dot", "--out", folder / "out"),
+    )
+    assert code == 0
+    return folder
+
+
+class TestOptions:
+    def test_recording_contains_the_run(self, full_run):
+        check_readable(full_run / "out", files=FILES | {"recording.html"})
+        page = (full_run / "out" / "recording.html").read_text("utf-8")
+        assert page.rstrip().endswith("</html>")
+        assert "<title>tofssm_drake: IdealSensors</title>" in page
+        data = page.partition("const run = ")[2].partition(";\n")[0]
+        data = json.loads(data)
+        assert data["end"] == pytest.approx(0.4)
+        assert data["spans"][0][0] == 0.0
+        assert data["spans"][0][2] == 0
+        assert data["spans"][-1][1] == pytest.approx(0.4)
+        assert min(data["distance"]) > 0.1
+        # Meshcat's own part: a scene with robot, person and beams.
+        assert len(page) > 1_000_000
+
+    def test_report_leads_into_the_recording(self, full_run, short_run):
+        for folder, expected in ((full_run / "out", True), (short_run, False)):
+            report = (folder / "report.html").read_text("utf-8")
+            assert ('href="recording.html' in report) is expected
+
+    def test_diagram_is_drawn(self, full_run):
+        dot = (full_run / "cell.dot").read_text()
+        assert dot.startswith("digraph")
+        for name in ("station", "monitor", "ground_truth", "recorder"):
+            assert name in dot
+
+    def test_sensors_per_ring(self, full_run):
+        summary, samples = check_readable(
+            full_run / "out", files=FILES | {"recording.html"}
+        )
+        assert summary["scenario"]["sensors_per_ring"] == 16
+        for ring in RINGS:
+            assert samples.scan[ring]["distance"].shape[1] == 16
+            counts = [
+                samples[f"{ring}_{name}"]
+                for name in ("clear", "valid", "masked", "faulted")
+            ]
+            assert set(np.sum(counts, axis=0)[-10:]) == {16}
+
+    def test_human_motion(self, full_run):
+        summary = read_summary(full_run / "out")
+        human = summary["scenario"]["human"]
+        assert human["kind"] == "BvhRecording"
+        assert Path(human["filename"]).name == "walk.bvh"
+        assert human["placement"] == "figure_eight"
+        assert 0.1 < summary["min_true_distance_m"] < 4.0
+
+    def test_options_win_over_text_and_file(self, full_run):
+        scenario = read_summary(full_run / "out")["scenario"]
+        # Text over file, option over both, the rest of the file kept.
+        assert scenario["random_seed"] == 2
+        assert scenario["rings"]["sensor"]["ideal"] is True
+
+    def test_an_old_recording_is_not_taken_for_this_runs(
+        self, tmp_path, capsys
+    ):
+        (tmp_path / "recording.html").write_text("of another run")
+        assert run(*SHORT, "--out", tmp_path) == 0
+        check_readable(tmp_path)
+        assert "recording.html" not in capsys.readouterr().out
+
+    def test_help_lists_the_options(self, capsys):
+        assert run("--help") == 0
+        text = capsys.readouterr().out
+        for option in (
+            "--scenario-file",
+            "--scenario-name",
+            "--scenario-text",
+            "--ssm",
+            "--sensors-per-ring",
+            "--human-motion",
+            "--seed",
+            "--duration",
+            "--meshcat",
+            "--graphviz",
+            "--out",
+        ):
+            assert option in text
+
+
+def _text(text):
+    return ("--scenario-text", text)
+
+
+def _file(text, name="Cell"):
+    return ("--scenario-file", ("cell.yaml", text), "--scenario-name", name)
+
+
+_NOT_BVH = ("walk.bvh", "HIERARCHY\nROOT Hips\n{\n")
+
+# What a user wrote, and what the line on stderr must tell.
+BAD_INPUT = {
+    "unknown_key": (_text("{weather: 1}"), "--scenario-text:1: weather:"),
+    "misspelt_key": (
+        _text("{ssm: {configuratoin: vr}}"),
+        "ssm.configuratoin: unknown key; did you mean 'configuration'?",
+    ),
+    "misspelt_key_in_a_file": (
+        _file("Cell:\n  human:\n    sped: 1.0\n"),
+        "cell.yaml:3: Cell.human.sped: unknown key; did you mean 'speed'?",
+    ),
+    "unknown_kind": (_text("{human: !Robot {}}"), "!GeneratedWalk"),
+    "wrong_type": (
+        _text("{sensors_per_ring: eight}"),
+        "sensors_per_ring: must be a whole number, not 'eight'",
+    ),
+    "wrong_type_in_a_file": (
+        _file("Cell:\n  mask: 3\n"),
+        "cell.yaml:2: Cell.mask: must be a mapping",
+    ),
+    "number_for_a_list": (_text("{ring_phases: 1}"), "must be a list"),
+    "out_of_range": (_text("{human: {speed: 9}}"), "human.speed: 9"),
+    "out_of_range_deep": (
+        _text("{rings: {sensor: {usable_range: 0.01}}}"),
+        "rings.sensor.usable_range: 0.01 is out of range; use 0.05 to 4",
+    ),
+    "out_of_reach": (
+        _text("{program: {pick_center: [0.0, -3.0, 0.7]}}"),
+        "out of the robot's reach",
+    ),
+    "ticks_disagree": (
+        _text("{control_period: 0.002}"),
+        "program.period: 0.008 must equal control_period",
+    ),
+    "time_step_does_not_fit": (
+        _text("{robot: {time_step: 0.003}}"),
+        "robot.time_step: control_period (0.008) must be a multiple",
+    ),
+    "nan": (
+        _text("{program: {pick_center: [.nan, 0.0, 0.7]}}"),
+        "program.pick_center[0]: must be a finite number, not '.nan'",
+    ),
+    "inf": (_text("{program: {base_jerk: .inf}}"), "base_jerk: must be a fin"),
+    "nan_duration": (("--duration", "nan"), "simulation_duration: nan"),
+    "duration_0": (("--duration", "0"), "simulation_duration: 0"),
+    "negative_seed": (("--seed", "-1"), "random_seed: -1"),
+    "huge_seed": (("--seed", "1" + 30 * "0"), "random_seed: 1000"),
+    "seed_is_no_number": (("--seed", "x"), "--seed"),
+    "yaml_syntax": (_text("{ssm: ["), "--scenario-text:1: not YAML"),
+    "yaml_syntax_in_a_file": (
+        _file("Cell:\n  ssm: {\n"),
+        "cell.yaml:3: not YAML",
+    ),
+    "yaml_is_a_list": (_text("[1, 2]"), "must be a mapping"),
+    "file_is_not_text": (
+        ("--scenario-file", ("cell.yaml", b"\xff\xfe\x00")),
+        "cell.yaml: is not text",
+    ),
+    "missing_scenario_file": (
+        ("--scenario-file", "nowhere.yaml"),
+        "nowhere.yaml: can not read the scenarios: No such file",
+    ),
+    "scenario_file_is_a_folder": (("--scenario-file", "."), "directory"),
+    "unknown_scenario": (
+        ("--scenario-name", "Defalt"),
+        "no scenario 'Defalt'; did you mean 'Default'?",
+    ),
+    "unknown_scenario_in_a_file": (
+        _file("Cell: {}\n", name="Zoo"),
+        "cell.yaml: no scenario 'Zoo'; there are Cell",
+    ),
+    "missing_bvh": (("--human-motion", "gone.bvh"), "gone.bvh: no such file"),
+    "malformed_bvh": (("--human-motion", _NOT_BVH), "walk.bvh:"),
+    "empty_bvh": (("--human-motion", ("walk.bvh", "")), "walk.bvh"),
+    "bvh_is_a_folder": (("--human-motion", "."), "."),
+    "missing_bvh_in_a_file": (
+        _file("Cell:\n  human: !BvhRecording {filename: gone.bvh}\n"),
+        "gone.bvh",
+    ),
+    "unknown_ssm": (("--ssm", "vx"), "--ssm: 'vx' is unknown"),
+    "unknown_ssm_in_text": (
+        _text("{ssm: {configuration: vx}}"),
+        "ssm.configuration: 'vx' is unknown",
+    ),
+    "nine_sensors": (
+        ("--sensors-per-ring", "9"),
+        "sensors_per_ring: no ring model with 9 sensors; there are 8, 16",
+    ),
+    "unknown_option": (("--sede", "3"), "No such option: --sede"),
+    "no_value": (("--seed",), "--seed"),
+    "stray_argument": (("Default",), "Default"),
+    "graphviz_name": (("--graphviz", "cell.jpg"), "--graphviz: cell.jpg"),
+    "graphviz_folder": (
+        ("--graphviz", "nowhere/cell.dot"),
+        "--graphviz: there is no folder nowhere",
+    ),
+}
+
+
+def list_tree(folder):
+    return sorted(str(p.relative_to(folder)) for p in folder.rglob("*"))
+
+
+def check_mistake(code, captured, message):
+    assert code == 2
+    assert captured.out == ""
+    (line,) = captured.err.splitlines()
+    assert line.startswith("tofssm: ")
+    assert message in line
+    assert "Traceback" not in line
+
+
+class TestBadInput:
+    @pytest.mark.parametrize("name", BAD_INPUT)
+    def test_one_line_and_nothing_written(
+        self, name, tmp_path, monkeypatch, capfd
+    ):
+        arguments, message = BAD_INPUT[name]
+        monkeypatch.chdir(tmp_path)
+        command = []
+        for argument in arguments:
+            if isinstance(argument, tuple):
+                argument, content = argument
+                if isinstance(content, str):
+                    content = content.encode()
+                Path(argument).write_bytes(content)
+            command.append(argument)
+        before = list_tree(tmp_path)
+        code = run("--out", "made/anew", *command)
+        check_mistake(code, capfd.readouterr(), message)
+        assert list_tree(tmp_path) == before
+
+    def test_graphviz_is_not_installed(self, tmp_path, monkeypatch, capfd):
+        monkeypatch.setenv("PATH", str(tmp_path))
+        picture = tmp_path / "cell.svg"
+        code = run("--graphviz", picture, "--out", tmp_path / "out")
+        check_mistake(code, capfd.readouterr(), "apt-get install graphviz")
+        assert list_tree(tmp_path) == []
+
+    @pytest.mark.parametrize("out", ["file", "file/below", "/proc/self/fd"])
+    def test_unwritable_folder(self, out, tmp_path, capfd):
+        # No test by permissions: root may write everywhere.
+        (tmp_path / "file").write_text("in the way")
+        code = run(*SHORT, "--out", tmp_path / out)
+        check_mistake(code, capfd.readouterr(), "--out: can not write into")
+        assert list_tree(tmp_path) == ["file"]
+        assert (tmp_path / "file").read_text() == "in the way"
+
+    def test_from_outside(self, tmp_path):
+        done = subprocess.run(
+            [
+                *(sys.executable, "-m", "tofssm_drake.scripts.main"),
+                *("simulate", "--sensors-per-ring", "9"),
+            ],
+            cwd=tmp_path,
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        assert done.returncode == 2
+        assert done.stdout == ""
+        assert len(done.stderr.splitlines()) == 1
+        assert list_tree(tmp_path) == []
+
+
+class TestInterruption:
+    @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+    def test_from_inside(self, number, tmp_path, monkeypatch, capfd):
+        advance = simulation.Run.advance
+
+        def interrupt(self):
+            progress = advance(self)
+            if progress.time > 0.5:
+                os.kill(os.getpid(), number)
+            return progress
+
+        monkeypatch.setattr(simulation.Run, "advance", interrupt)
+        handler = signal.getsignal(number)
+        assert run("--no-recording", "--out", tmp_path) == 130
+        assert signal.getsignal(number) is handler
+        captured = capfd.readouterr()
+        assert "until interrupted" in captured.out
+        assert "Traceback" not in captured.err
+        summary, samples = check_readable(tmp_path)
+        assert summary["interrupted"] is True
+        assert summary["task_time_s"] is None
+        assert samples["t"][-1] == pytest.approx(0.6)
+        report = (tmp_path / "report.html").read_text("utf-8")
+        assert "interrupted" in report.lower()
+
+    def test_ctrl_c_and_kill_from_outside(self, tmp_path):
+        # A robot that waits for its rings for ever is never done.
+        command = [
+            *(sys.executable, "-m", "tofssm_drake.scripts.main", "simulate"),
+            *("--scenario-text", "{rings: {readout_time: 1.0}}"),
+            *("--duration", "80000", "--no-recording", "--out"),
+        ]
+        runs = {}
+        for number in (signal.SIGINT, signal.SIGTERM):
+            out = tmp_path / number.name
+            runs[number] = (
+                out,
+                subprocess.Popen(
+                    [*command, out], stderr=subprocess.PIPE, text=True
+                ),
+            )
+        try:
+            for number, (out, process) in runs.items():
+                while not out.exists():
+                    assert process.poll() is None, process.stderr.read()
+                    time.sleep(0.05)
+                time.sleep(0.5)
+                process.send_signal(number)
+            for out, process in runs.values():
+                _, error = process.communicate(timeout=120)
+                assert process.returncode == 130
+                assert "Traceback" not in error
+                summary, samples = check_readable(out)
+                assert summary["interrupted"] is True
+                assert len(samples) > 1
+        finally:
+            for _, process in runs.values():
+                if process.poll() is None:
+                    process.kill()
+                    process.wait()
