@@ -11,6 +11,11 @@ OUT ?= out/default
 PIP_INSTALL := $(BIN)/python -m pip install --quiet \
 	--disable-pip-version-check --constraint constraints.txt
 
+# Drake's wheel leaves three common libraries to the system.
+CHECK_DRAKE := @$(BIN)/python -c 'import pydrake.common' 2> /dev/null || \
+	scripts/install_system_packages.sh \
+	  "Drake lacks libraries" libglib2.0-0 libsm6 libx11-6
+
 .PHONY: run test bench format clean
 
 run: $(VENV)/.installed
@@ -35,15 +40,17 @@ $(BIN)/python:
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { \
 	  echo "$(PYTHON) is older than 3.11: give another one," \
 	    "e.g. make PYTHON=python3.12 $(MAKECMDGOALS)"; exit 2; }
-	@$(PYTHON) -c 'import ensurepip, venv' 2>/dev/null || { \
-	  echo "This python3 can not make a virtual environment:" \
-	    "apt-get install python3-venv, then make $(MAKECMDGOALS)"; exit 2; }
+	@$(PYTHON) -c 'import ensurepip, venv' 2> /dev/null || \
+	  scripts/install_system_packages.sh \
+	    "$(PYTHON) can not make a virtual environment" python3-venv
 	$(PYTHON) -m venv $(VENV)
 
 $(VENV)/.installed: pyproject.toml constraints.txt | $(BIN)/python
 	$(PIP_INSTALL) --editable .
+	$(CHECK_DRAKE)
 	@touch $@
 
 $(VENV)/.installed-test: pyproject.toml constraints.txt | $(BIN)/python
 	$(PIP_INSTALL) --editable '.[meshes,test]'
+	$(CHECK_DRAKE)
 	@touch $@ $(VENV)/.installed
