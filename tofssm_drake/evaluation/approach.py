@@ -250,8 +250,8 @@ def _place(samples, ring, tick):
 def find_approach(samples: Samples, first: int) -> Approach:
     """Finds out why the robot had not come to rest at a contact.
 
-    It looks back 2 s from the stop, but not past an earlier stop from which the robot has
-    recovered.
+    It looks back 2 s from the stop, but not past an earlier stop from which
+    the robot has recovered.
 
     Args:
         samples: The run.
