@@ -6,6 +6,7 @@ from hypothesis import strategies as st
 import numpy as np
 from synthetic_run import PERIOD, RINGS, make_run, make_steps
 
+from tofssm_drake.evaluation.approach import find_neighbours
 import tofssm_drake.evaluation.metrics as mut
 from tofssm_drake.messages import RobotState
 
@@ -282,7 +283,7 @@ class TestNeighbours(unittest.TestCase):
     AXES = np.arange(8) * np.pi / 4
 
     def _find(self, degrees, elevation=0.0, distance=0.5):
-        return mut.find_neighbours(
+        return find_neighbours(
             azimuth=np.deg2rad(degrees),
             elevation=np.deg2rad(elevation),
             distance=distance,

@@ -136,7 +136,8 @@ class TestReport(unittest.TestCase):
             "while moving at 0.62 m/s",
             text,
         )
-        self.assertIn("a blind gap", text)
+        self.assertIn("never seen by any ring", text)
+        self.assertIn("gap between sensors 0 and 1 of the base ring", text)
         self.assertIn("between sensors 0 and 1", text)
         # Four figures in two widths less one alternative each, three rings.
         self.assertEqual(len(checker.alt), 4 + 3)
@@ -209,7 +210,7 @@ class TestWords(unittest.TestCase):
         run["base_measured_distance"][:] = 0.35
         (contact,) = find_contacts(run)
         text = " ".join(mut.describe_contact(contact))
-        self.assertIn("seen then (by base)", text)
-        self.assertNotIn("blind gap:", text)
+        self.assertIn("the person was seen (by base)", text)
+        self.assertNotIn("never seen", text)
         self.assertIn("base ring read 0.35 m", text)
         self.assertIn("tool ring read clear", text)

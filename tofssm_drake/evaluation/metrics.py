@@ -23,6 +23,14 @@ import dataclasses as dc
 
 import numpy as np
 
+from tofssm_drake.evaluation.approach import (
+    SEEN_TOLERANCE,
+    Approach,
+    count_late_stops,
+    find_approach,
+    find_neighbours,
+    is_seen,
+)
 from tofssm_drake.evaluation.samples import Samples
 from tofssm_drake.messages import RobotState
 
@@ -31,7 +39,6 @@ MOVING_SPEED = 0.01
 _MERGE_TIME = 0.25
 _SETTLE_TIME = 0.5
 _STANDSTILL = 0.01
-_SEEN_TOLERANCE = 0.25
 
 
 @dc.dataclass(frozen=True, kw_only=True)
@@ -135,6 +142,8 @@ class Contact:
     last_seen: float
     """How long before the contact a ring last saw the person, s; 0: it was
     seen at the contact; inf: never."""
+    approach: Approach
+    """What led to it."""
 
     @property
     def blind(self) -> bool:
@@ -275,7 +284,7 @@ def find_contacts(samples: Samples) -> list[Contact]:
         t[ticks[1:]] - (t[ticks[:-1]] + periods[ticks[:-1]]) > _MERGE_TIME
     )
     contacts = []
-    seen = np.array([_is_seen(samples, ring) for ring in samples.rings]).any(
+    seen = np.array([is_seen(samples, ring) for ring in samples.rings]).any(
         axis=0
     )
     for group in np.split(ticks, breaks + 1):
@@ -299,6 +308,7 @@ def find_contacts(samples: Samples) -> list[Contact]:
                 last_seen=(
                     float(t[first] - t[before[-1]]) if len(before) else np.inf
                 ),
+                approach=find_approach(samples, first),
             )
         )
     return contacts
@@ -310,12 +320,6 @@ def _name(samples, table, column, tick):
     if 0 <= index < len(names):
         return names[index]
     return f"{column} {index}" if index >= 0 else "unknown"
-
-
-def _is_seen(samples, ring):
-    measured = samples[f"{ring}_measured_distance"]
-    true = samples[f"{ring}_true_distance"]
-    return np.isfinite(measured) & (measured < true + _SEEN_TOLERANCE)
 
 
 def make_ring_view(samples: Samples, ring: str, tick: int) -> RingView:
@@ -351,58 +355,8 @@ def make_ring_view(samples: Samples, ring: str, tick: int) -> RingView:
         elevation=elevation,
         sensors=sensors,
         off_beam=off_beam,
-        seen=bool(_is_seen(samples, ring)[tick]),
+        seen=bool(is_seen(samples, ring)[tick]),
     )
-
-
-def find_neighbours(
-    *,
-    azimuth: float,
-    elevation: float,
-    distance: float,
-    beam_azimuth: np.ndarray,
-    fov: float,
-    radius: float,
-) -> tuple[tuple[int, int], float]:
-    """Finds between which two beams of a ring a point lies.
-
-    Args:
-        azimuth: Direction of the point about the ring's axis, rad.
-        elevation: Direction above the ring's plane, rad.
-        distance: Of the point from the ring's centre, m.
-        beam_azimuth: Directions of the beams, rad, (n,), n > 0.
-        fov: Full cone angle of a beam, rad.
-        radius: Radius of the ring on which the sensors sit, m.
-
-    Returns:
-        ((j, k), off_beam): the neighbouring sensors, j before k in the sense
-        of growing azimuth, and the angle by which the point is outside the
-        nearest beam's cone, seen from that sensor, rad; negative inside.
-    """
-    turn = 2 * np.pi
-    after = np.mod(beam_azimuth - azimuth, turn)
-    before = np.mod(azimuth - beam_azimuth, turn)
-    sensors = int(np.argmin(before)), int(np.argmin(after))
-    point = distance * np.array(
-        [
-            np.cos(elevation) * np.cos(azimuth),
-            np.cos(elevation) * np.sin(azimuth),
-            np.sin(elevation),
-        ]
-    )
-    axis = np.stack(
-        [
-            np.cos(beam_azimuth),
-            np.sin(beam_azimuth),
-            np.zeros(len(beam_azimuth)),
-        ],
-        axis=1,
-    )
-    ray = point - radius * axis
-    along = np.einsum("ij,ij->i", ray, axis)
-    across = np.linalg.norm(ray - along[:, None] * axis, axis=1)
-    angle = np.arctan2(across, along)
-    return sensors, float(angle.min() - fov / 2)
 
 
 def calc_distance_rmse(measured: np.ndarray, true: np.ndarray) -> float | None:
@@ -462,6 +416,11 @@ def calc_summary(samples: Samples, *, products: int = 10) -> dict:
         - `min_true_distance_m` between the surfaces of robot and person
           (0: they touched; None: nobody there).
         - `contact_while_moving_events`, `contact_while_moving_max_mps`.
+        - `contacts`, one entry each: `time_s`, `speed_mps`, `robot_body`,
+          `person_part`; `cause` (see `approach.CAUSES`), `ring` that should
+          have stopped the robot first, `sensors` beside the gap, `late_s`
+          (None: it never stopped).
+        - `late_stops`: see `approach.count_late_stops`.
         - `max_tcp_speed_mps`.
         - `distance_rmse_m`, measured against true distance from the link
           centres, all rings pooled; `distance_rmse_by_ring_m`, each ring's;
@@ -492,7 +451,7 @@ def calc_summary(samples: Samples, *, products: int = 10) -> dict:
     nearest = np.where(np.isnan(measured), np.inf, measured).min(axis=1)
     detection = {
         ring: calc_detection(
-            measured[:, i], true[:, i] <= reach[i] + _SEEN_TOLERANCE, periods
+            measured[:, i], true[:, i] <= reach[i] + SEEN_TOLERANCE, periods
         )
         for i, ring in enumerate(samples.rings)
     }
@@ -517,6 +476,8 @@ def calc_summary(samples: Samples, *, products: int = 10) -> dict:
         "contact_while_moving_max_mps": max(
             (c.max_speed for c in contacts), default=0.0
         ),
+        "contacts": [_summarize_contact(c) for c in contacts],
+        "late_stops": count_late_stops(samples, start),
         "max_tcp_speed_mps": float(samples["tcp_speed"].max(initial=0.0)),
         "distance_rmse_m": calc_distance_rmse(measured, near),
         "distance_rmse_by_ring_m": {
@@ -532,6 +493,20 @@ def calc_summary(samples: Samples, *, products: int = 10) -> dict:
         "ghost_s_by_ring": {
             ring: ghost for ring, (_, ghost) in detection.items()
         },
+    }
+
+
+def _summarize_contact(contact):
+    approach = contact.approach
+    return {
+        "time_s": contact.time,
+        "speed_mps": contact.max_speed,
+        "robot_body": contact.robot_body,
+        "person_part": contact.person_part,
+        "cause": approach.cause,
+        "ring": approach.ring or None,
+        "sensors": approach.sensors and list(approach.sensors),
+        "late_s": approach.late if np.isfinite(approach.late) else None,
     }
 
 

@@ -9,6 +9,7 @@ import jinja2
 import numpy as np
 
 from tofssm_drake.evaluation import figures
+from tofssm_drake.evaluation.approach import Approach, RingApproach
 from tofssm_drake.evaluation.metrics import (
     Contact,
     Episode,
@@ -226,23 +227,103 @@ def describe_contact(contact: Contact) -> list[str]:
         f"over the {contact.duration:.2f} s of the contact). The robot was "
         f"in state {figures.STATE_NAME[contact.robot_state]}."
     ]
+    text.append(describe_cause(contact.approach, contact))
+    text += [describe_ring(ring) for ring in contact.approach.rings]
     if not contact.blind:
         seen = " and ".join(v.ring for v in contact.views if v.seen)
-        text.append(
-            f"The person was seen then (by {seen}): this is no blind gap, "
-            "the robot had not come to rest yet."
-        )
+        text.append(f"At the contact itself the person was seen (by {seen}):")
     else:
         ago = (
-            "no ring had seen the person before"
+            "and none had seen the person before"
             if math.isinf(contact.last_seen)
-            else f"a ring last saw the person {contact.last_seen:.2f} s before"
+            else f"and the last time was {contact.last_seen:.2f} s before"
         )
-        text.append(
-            f"No sensor of any ring saw the person there: a blind gap; {ago}."
-        )
+        text.append(f"At the contact itself no sensor saw the person, {ago}:")
     text += [describe_view(view) for view in contact.views]
     return text
+
+
+def describe_cause(approach: Approach, contact: Contact) -> str:
+    """Concludes why the robot was still moving."""
+    ring = approach.ring
+    stopped = math.isfinite(approach.stop)
+    if stopped:
+        late = f"the stop came late by {approach.late:.2f} s"
+    else:
+        late = "the robot was not told to stop before the contact"
+    where = "a gap"
+    if approach.sensors is not None:
+        i, j = approach.sensors
+        where = f"the gap between sensors {i} and {j} of the {ring} ring"
+        (view,) = [r for r in approach.rings if r.ring == ring]
+        if view.off_along > max(view.off_around, 0.0):
+            where = (
+                f"the gap above and below the plane of the {ring} ring, at "
+                f"its sensors {i} and {j}"
+            )
+    if approach.cause == "gap":
+        return f"Why: {late}, because of {where}."
+    if approach.cause == "unseen":
+        at = f" It was in {where}." if approach.sensors is not None else ""
+        return f"Why: the person was never seen by any ring.{at}"
+    if approach.cause == "late":
+        return (
+            f"Why: {late}, although the person was inside a beam of the "
+            f"{ring} ring: its reading or the filter came too late."
+        )
+    if approach.cause == "beyond":
+        return (
+            "Why: the touching part is farther from every ring's centre than "
+            "the distance at which that ring stops the robot: no ring was "
+            "due."
+        )
+    speed = format_number(approach.person_speed, 2, "m/s")
+    text = (
+        "Why: the person was seen in time, but the distance that this law "
+        "keeps is too short"
+    )
+    if not math.isnan(approach.person_speed):
+        text += f" for a person at {speed}"
+    if not math.isnan(approach.needed):
+        needed = math.ceil(100 * approach.needed - 1e-6) / 100
+        text += f" (it needs at least {needed:.2f} m here)"
+    return f"{text}."
+
+
+def describe_ring(ring: RingApproach) -> str:
+    """Tells how one ring followed the approach."""
+    if math.isinf(ring.due):
+        text = f"{ring.ring} ring: the person was never within its d_C"
+        if math.isfinite(ring.reacted):
+            text += f"; it said stop at {ring.reacted:.2f} s all the same"
+        return f"{text}."
+    text = (
+        f"{ring.ring} ring: the person came within its d_C of "
+        f"{ring.d_C:.2f} m at {ring.due:.2f} s; it "
+    )
+    if ring.late == 0.0:
+        return f"{text}said stop by then."
+    if math.isinf(ring.late):
+        text += "did not say stop before the contact"
+    else:
+        text += f"said stop {ring.late:.2f} s later"
+    if math.isinf(ring.nearest_reading):
+        text += ". Until then it read clear"
+    else:
+        text += f". Until then it read {ring.nearest_reading:.2f} m or more"
+    if ring.sensors is not None:
+        text += (
+            f", the person between sensors {ring.sensors[0]} and "
+            f"{ring.sensors[1]}, {_off(ring.off_around)} around the link and "
+            f"{_off(ring.off_along)} along it"
+        )
+    return f"{text}."
+
+
+def _off(angle):
+    if angle > 0:
+        return f"{math.degrees(angle):.0f}° outside the nearest beam"
+    return f"{-math.degrees(angle):.0f}° inside"
 
 
 def describe_view(view) -> str:
@@ -292,12 +373,15 @@ def _make_contact(contact, samples):
         for view in contact.views
         if view.sensors is not None
     ]
-    first, *rest = describe_contact(contact)
+    text = describe_contact(contact)
+    rings = len(contact.approach.rings)
     return {
         "time": contact.time,
-        "lead": first,
-        "rest": rest[0],
-        "views": rest[1:],
+        "lead": text[0],
+        "cause": text[1],
+        "approach": text[2 : 2 + rings],
+        "at_contact": text[2 + rings],
+        "views": text[3 + rings :],
         "diagrams": diagrams,
     }
 
