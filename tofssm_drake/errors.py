@@ -1,5 +1,7 @@
 """What a user got wrong, told in one line."""
 
+import math
+
 
 class UserError(ValueError):
     """A mistake in what the user gave: a setting, a file, a name.
@@ -13,3 +15,14 @@ def require(condition: bool, message: str) -> None:
     """Raises UserError(message) unless the condition holds."""
     if not condition:
         raise UserError(message)
+
+
+def require_period(period: float) -> None:
+    """Raises UserError unless a control tick lasts for some time, s.
+
+    Drake itself takes any number for the period of an event.
+    """
+    require(
+        math.isfinite(period) and period > 0.0,
+        f"period: {period!r} must be a number of seconds greater than 0",
+    )

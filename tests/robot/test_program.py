@@ -65,7 +65,6 @@ class TestConfig(unittest.TestCase):
             ("gripper_dwell", -1.0),
             ("pick_center", [0.0]),
             ("place_columns", 0),
-            ("period", 0.0),
         ):
             config = mut.ProgramConfig(**{name: value})
             with self.assertRaisesRegex(UserError, rf"cell\.{name}: "):
@@ -195,8 +194,9 @@ class TestPath(unittest.TestCase):
                 np.testing.assert_allclose(X_WT[:, 3], slot, atol=1e-9)
                 np.testing.assert_allclose(X_WT[:, 2], [0, 0, -1], atol=1e-9)
                 np.testing.assert_allclose(qd, 0, atol=1e-9)
-        self.assertTrue(np.all(path.close_time < path.open_time))
-        self.assertTrue(np.all(path.open_time[:-1] < path.close_time[1:]))
+        close_time, open_time = map(np.array, (path.close_time, path.open_time))
+        self.assertTrue(np.all(close_time < open_time))
+        self.assertTrue(np.all(open_time[:-1] < close_time[1:]))
         self.assertEqual(path.calc_products_placed(path.open_time[3] - 1e-6), 3)
         self.assertEqual(path.calc_products_placed(path.open_time[3]), 4)
         self.assertFalse(path.calc_gripper_closed(path.close_time[3] - 1e-6))
@@ -252,17 +252,27 @@ class TestPath(unittest.TestCase):
 
 
 @functools.cache
-def make_program():
+def make_program(period=0.008):
     return mut.PickAndPlaceProgram(
-        config=mut.ProgramConfig(), kinematics=make_kinematics()
+        config=mut.ProgramConfig(),
+        kinematics=make_kinematics(),
+        period=period,
     )
 
 
-def run(fractions):
+def set_progress(context, progress):
+    """Sets path time, its rate, the rate's change, time of the tick."""
+    context.SetDiscreteState(0, progress)
+
+
+def get_progress(context):
+    return context.get_discrete_state(0).value()
+
+
+def run(fractions, period=0.008):
     """Returns path time and motion_commanded at ticks and between them."""
-    dut = make_program()
+    dut = make_program(period)
     context = dut.CreateDefaultContext()
-    period = mut.ProgramConfig().period
     rows = []
     for k, fraction in enumerate(fractions):
         context.SetTime(k * period)
@@ -273,7 +283,7 @@ def run(fractions):
             time = (k + part) * period
             context.SetTime(time)
             s, rate, change = mut.advance_path_time(
-                context.get_discrete_state_vector().value(), time, period
+                get_progress(context), time, period
             )
             motion = dut.GetOutputPort("motion_commanded").Eval(context)
             rows.append((s, rate, change, *motion))
@@ -308,13 +318,14 @@ class TestPickAndPlaceProgram(unittest.TestCase):
     @given(
         st.lists(
             st.floats(min_value=-0.5, max_value=1.5), min_size=1, max_size=60
-        )
+        ),
+        st.sampled_from((0.002, 0.008, 0.016)),
     )
-    def test_path_does_not_change(self, fractions):
+    def test_path_does_not_change(self, fractions, period):
         """Whatever the speed fraction, the commanded q lies exactly on the
         nominal path, path time never goes back, the velocity is continuous
         and is the derivative of the position."""
-        rows = run(fractions)
+        rows = run(fractions, period)
         path = make_path()
         for s, rate, change, *motion in rows:
             q, qd, qdd = path.calc_motion(s)
@@ -343,7 +354,7 @@ class TestPickAndPlaceProgram(unittest.TestCase):
     def test_parts(self):
         dut = make_program()
         context = dut.CreateDefaultContext()
-        context.SetDiscreteState([1.7, 0.9, 2.0, 0.0])
+        set_progress(context, [1.7, 0.9, 2.0, 0.0])
         context.SetTime(0.003)
         motion = dut.GetOutputPort("motion_commanded").Eval(context)
         for i, name in enumerate(("position", "velocity", "acceleration")):
@@ -352,23 +363,85 @@ class TestPickAndPlaceProgram(unittest.TestCase):
                 motion[6 * i : 6 * i + 6],
             )
 
+    def read_registers(self, dut, context):
+        return [
+            dut.GetOutputPort(name).Eval(context)[0]
+            for name in ("gripper_closed", "products_placed", "task_done")
+        ]
+
+    def update_at(self, progress, fraction=1.0, period=0.008):
+        """Returns the registers after a tick, one period after the last."""
+        dut = make_program(period)
+        context = dut.CreateDefaultContext()
+        set_progress(context, [*progress, 0.0])
+        context.SetTime(period)
+        dut.GetInputPort("speed_fraction").FixValue(context, [fraction])
+        context.SetDiscreteState(dut.EvalUniquePeriodicDiscreteUpdate(context))
+        return self.read_registers(dut, context)
+
     def test_registers(self):
         dut = make_program()
-        context = dut.CreateDefaultContext()
         path = dut.path
+        context = dut.CreateDefaultContext()
+        self.assertEqual(self.read_registers(dut, context), [0, 0, 0])
+        for s, expected in (
+            (0.01, [0, 0, 0]),
+            (path.close_time[0] - 1e-6, [0, 0, 0]),
+            (path.close_time[0] + 1e-6, [1, 0, 0]),
+            (path.open_time[0] - 1e-6, [1, 0, 0]),
+            (path.open_time[0] + 1e-6, [0, 1, 0]),
+            (path.open_time[9] + 1e-6, [0, 10, 0]),
+            (path.duration - 1e-6, [0, 10, 0]),
+            (path.duration + 1e-6, [0, 10, 1]),
+        ):
+            for rate in (0.3, 1.0):
+                self.assertEqual(
+                    self.update_at([s - 0.008 * rate, rate, 0.0]), expected
+                )
 
-        def read(s):
-            context.SetDiscreteState([s, 1.0, 0.0, 0.0])
-            return [
-                dut.GetOutputPort(name).Eval(context)[0]
-                for name in ("gripper_closed", "products_placed", "task_done")
-            ]
+    def test_registers_are_those_of_a_robot_that_stops(self):
+        """The last tick of a stop moves the robot on, too."""
+        path = make_program().path
+        for s, expected in (
+            (path.close_time[2], [1, 2, 0]),
+            (path.open_time[2], [0, 3, 0]),
+            (path.duration, [0, 10, 1]),
+        ):
+            # From full rate to none within the tick: half a tick's way.
+            progress = [s - 0.004 + 1e-6, 1.0, -1.0 / 0.008]
+            for fraction in (0.0, 1.0):
+                self.assertEqual(self.update_at(progress, fraction), expected)
 
-        self.assertEqual(read(0.0), [0, 0, 0])
-        self.assertEqual(read(path.close_time[0]), [1, 0, 0])
-        self.assertEqual(read(path.open_time[0]), [0, 1, 0])
-        self.assertEqual(read(path.open_time[9]), [0, 10, 0])
-        self.assertEqual(read(path.duration), [0, 10, 1])
+    def test_registers_in_simulator(self):
+        """At each tick they are those of the path time that was reached."""
+        for period in (0.002, 0.016):
+            dut = make_program(period)
+            path = dut.path
+            simulator = Simulator(dut)
+            context = simulator.get_mutable_context()
+            dut.GetInputPort("speed_fraction").FixValue(context, [1.0])
+            seen = []
+            for k in range(1, 300):
+                simulator.AdvanceTo(0.031 * k)
+                s = dut.get_path_time(context)
+                registers = self.read_registers(dut, context)
+                self.assertEqual(
+                    registers,
+                    [
+                        path.calc_gripper_closed(s),
+                        path.calc_products_placed(s),
+                        0,
+                    ],
+                )
+                seen.append(tuple(registers))
+            self.assertEqual(
+                sorted(set(seen)), [(0, 0, 0), (0, 1, 0), (1, 0, 0), (1, 1, 0)]
+            )
+
+    def test_tick_must_last(self):
+        for period in (0.0, -0.008, np.nan, np.inf):
+            with self.assertRaisesRegex(UserError, "period"):
+                make_program(period)
 
     def test_in_simulator(self):
         """Half speed takes twice the time, up to the first tick's ramp."""
@@ -378,8 +451,7 @@ class TestPickAndPlaceProgram(unittest.TestCase):
         dut.GetInputPort("speed_fraction").FixValue(context, [0.5])
         simulator.AdvanceTo(1.0)
         # The tick at 1.0 s is still to come.
-        state = context.get_discrete_state_vector().value()
-        s, rate, _ = mut.advance_path_time(state, 1.0, 0.008)
+        s, rate, _ = mut.advance_path_time(get_progress(context), 1.0, 0.008)
         self.assertAlmostEqual(s, 0.5 - 0.25 * 0.008, places=9)
         self.assertAlmostEqual(rate, 0.5)
 
@@ -387,8 +459,8 @@ class TestPickAndPlaceProgram(unittest.TestCase):
         dut = make_program()
         context = dut.CreateDefaultContext()
         end = dut.path.duration
-        context.SetDiscreteState([end - 0.001, 1.0, 0.0, 0.0])
+        set_progress(context, [end - 0.001, 1.0, 0.0, 0.0])
         context.SetTime(0.008)
         dut.GetInputPort("speed_fraction").FixValue(context, [1.0])
         state = dut.EvalUniquePeriodicDiscreteUpdate(context)
-        self.assertEqual(state.value()[0], end)
+        self.assertEqual(state.value(0)[0], end)

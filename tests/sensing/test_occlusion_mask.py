@@ -21,7 +21,8 @@ from tofssm_drake.geometry.fan import make_cone_fan
 from tofssm_drake.geometry.ray_caster import RayCaster
 from tofssm_drake.messages import RINGS, MaskedScan, Reading, RingScan
 import tofssm_drake.sensing.occlusion_mask as mut
-from tofssm_drake.sensing.tof_ring import TofRingConfig
+from tofssm_drake.sensing.ring_mount import RingMount
+from tofssm_drake.sensing.tof_rings import TofRingConfig
 
 CLEAR, VALID, MASKED, FAULTED = Reading
 RADIUS = 0.1
@@ -40,8 +41,8 @@ class SphereTwin:
         return X_WF
 
 
-def make_cell(config, n=8):
-    """A ring at the origin of the world, sensor 0 looks along x."""
+def make_cell(config, n=8, names=("base",)):
+    """Rings at the origin of the world, their sensors 0 look along x."""
     scene_graph = SceneGraph()
     source_id = scene_graph.RegisterSource("twin")
     frame_id = scene_graph.RegisterFrame(source_id, GeometryFrame("robot"))
@@ -49,19 +50,34 @@ def make_cell(config, n=8):
     geometry.set_perception_properties(PerceptionProperties())
     scene_graph.RegisterGeometry(source_id, frame_id, geometry)
     caster = RayCaster(scene_graph.model_inspector())
+    X_FS = [
+        RigidTransform(
+            RotationMatrix.MakeZRotation(2 * np.pi * i / n), np.zeros(3)
+        )
+        for i in range(n)
+    ]
     bundles = mut.make_mask_bundles(
         config=config,
         ring_config=TofRingConfig(),
         caster=caster,
-        frame_id=scene_graph.world_frame_id(),
-        X_FS=[
-            RigidTransform(
-                RotationMatrix.MakeZRotation(2 * np.pi * i / n), np.zeros(3)
+        mounts=[
+            RingMount(
+                name=name,
+                frame_id=scene_graph.world_frame_id(),
+                X_FS=X_FS,
+                X_LS=X_FS,
+                geometry_ids=[],
             )
-            for i in range(n)
+            for name in names
         ],
     )
     return dict(caster=caster, bundles=bundles, twin=SphereTwin())
+
+
+def mask_scan(config, *, table, cell, rows=slice(0, 8), **kwargs):
+    """Masks one scan with a view of its own."""
+    view = mut.TwinView(enabled=config.enabled, table=table, **cell)
+    return mut.mask_scan(config, view=view, rows=rows, **kwargs)
 
 
 def make_scan(distance, status=0, *, sequence=0, time=1.0, n=8):
@@ -111,8 +127,6 @@ class TestConfig(unittest.TestCase):
             ("min_range", 1.0),
             ("max_range", np.nan),
             ("max_age", 0.0),
-            ("max_age", 0.004),
-            ("period", 0.0),
         ):
             with self.assertRaisesRegex(UserError, f"here.{name}: "):
                 mut.OcclusionMaskConfig(**{name: bad}).check("here")
@@ -189,16 +203,16 @@ class TestHistory(unittest.TestCase):
 
 
 class TestMaskScan(unittest.TestCase):
-    def mask(self, scan, *, position=0.5, config=None, before=None, **kwargs):
+    def mask(self, scan, *, position=0.5, config=None, before=None):
         config = config or mut.OcclusionMaskConfig()
         self.cell = make_cell(config)
-        return mut.mask_scan(
+        return mask_scan(
             config,
             scan=scan,
             before=before or MaskedScan(),
             time=scan.time,
             table=make_history([0.0, 2.0], [position, position]),
-            **{**self.cell, **kwargs},
+            cell=self.cell,
         )
 
     def test_robot_is_masked_a_person_is_not(self):
@@ -238,13 +252,13 @@ class TestMaskScan(unittest.TestCase):
         times = 1.0 + 0.008 * np.arange(5)
         history = make_history(times, 0.5 + 1.5 * (times - 1.0), 1.0, 3.0)
         time = 1.004
-        dut = mut.mask_scan(
+        dut = mask_scan(
             config,
             scan=make_scan(0.506, time=time),
             before=MaskedScan(),
             time=1.032,
             table=history,
-            **cell,
+            cell=cell,
         )
         self.assertAlmostEqual(dut.self_nearest[0], 0.506, delta=1e-12)
         self.assertEqual(dut.reading[0], MASKED)
@@ -259,7 +273,7 @@ class TestMaskScan(unittest.TestCase):
         config = mut.OcclusionMaskConfig(sigma=0.0, **settings)
         cell = make_cell(config)
         times = 1.0 + 0.008 * np.arange(5)
-        dut = mut.mask_scan(
+        dut = mask_scan(
             config,
             scan=make_scan(distance, time=1.016),
             before=MaskedScan(),
@@ -267,7 +281,7 @@ class TestMaskScan(unittest.TestCase):
             table=make_history(
                 times, 0.5 - 1.5 * (times - 1.016), scale=0.0 if still else 1.0
             ),
-            **cell,
+            cell=cell,
         )
         return dut, len(cell["twin"].asked)
 
@@ -303,13 +317,13 @@ class TestMaskScan(unittest.TestCase):
         times = 1.0 + 0.008 * np.arange(5)
         scan = make_scan(0.5)
         scan = dc.replace(scan, sensor_time=np.array([1.0, 1.01] * 4))
-        dut = mut.mask_scan(
+        dut = mask_scan(
             config,
             scan=scan,
             before=MaskedScan(),
             time=1.032,
             table=make_history(times, 0.5 + 1.5 * (times - 1.0)),
-            **cell,
+            cell=cell,
         )
         np.testing.assert_allclose(dut.position[0::2, 0], 0.5)
         np.testing.assert_allclose(dut.position[1::2, 0], 0.515)
@@ -391,13 +405,11 @@ class TestMaskScan(unittest.TestCase):
 class TestOcclusionMask(unittest.TestCase):
     def setUp(self):
         config = mut.OcclusionMaskConfig()
-        self.cell = make_cell(config)
-        self.dut = mut.OcclusionMask(
-            config=config,
-            caster=self.cell["caster"],
-            bundles=[self.cell["bundles"]] * 3,
-            twin=self.cell["twin"],
-        )
+        self.cell = make_cell(config, names=RINGS)
+        self.set_up_dut(mut.OcclusionMask(config=config, **self.cell))
+
+    def set_up_dut(self, dut):
+        self.dut = dut
         self.simulator = Simulator(self.dut)
         self.context = self.simulator.get_mutable_context()
         for ring in RINGS:
@@ -443,14 +455,11 @@ class TestOcclusionMask(unittest.TestCase):
         )
         self.assertFalse(self.dut.HasAnyDirectFeedthrough())
 
-    def test_one_set_of_rays_per_ring(self):
-        with self.assertRaisesRegex(ValueError, "1 for 3 rings"):
-            mut.OcclusionMask(
-                config=mut.OcclusionMaskConfig(),
-                caster=self.cell["caster"],
-                bundles=[self.cell["bundles"]],
-                twin=self.cell["twin"],
-            )
+    def test_as_many_rays_for_each_ring(self):
+        for n in (1, 8, 16):
+            cell = make_cell(mut.OcclusionMaskConfig(), n=n)
+            with self.assertRaisesRegex(ValueError, f"{n} for 3 rings"):
+                mut.OcclusionMask(config=mut.OcclusionMaskConfig(), **cell)
 
     def test_nothing_before_the_first_scan(self):
         self.simulator.AdvanceTo(0.1)
@@ -490,6 +499,112 @@ class TestOcclusionMask(unittest.TestCase):
         self.assertIs(self.eval("elbow"), elbow)
         self.assertEqual(self.eval("tool").reading[0], MASKED)
         self.assertEqual(self.eval("base").scan.sequence, -1)
+
+    def approach(self):
+        """The robot comes at 1.5 m/s and is at 0.5 m at 32 ms."""
+        for tick in range(6):
+            time = 0.008 * tick
+            self.fix(
+                "position_measured", [0.5 - 1.5 * (time - 0.032), *[0] * 5]
+            )
+            self.simulator.AdvanceTo(time + 0.001)
+
+    def test_rings_of_different_sampling_times(self):
+        """Each ring's robot is that of its own samples' time."""
+        self.fix("velocity_measured", [-1.5, 0, 0, 0, 0, 0])
+        self.approach()
+        scans = {
+            "base": make_scan(0.4, time=0.021),
+            "elbow": make_scan(0.4, time=0.028),
+            "tool": make_scan(0.5, time=0.037),
+        }
+        for ring, scan in scans.items():
+            self.fix_scan(scan, ring)
+        self.simulator.AdvanceTo(0.049)
+        masked = {ring: self.eval(ring) for ring in RINGS}
+        for ring, position in zip(RINGS, (0.5165, 0.506, 0.4925), strict=True):
+            np.testing.assert_allclose(masked[ring].position[:, 0], position)
+        # The wider look counts where something is valid.
+        for ring, nearest in zip(
+            RINGS, (0.5165 - 0.006, 0.506 - 0.006, 0.4925), strict=True
+        ):
+            self.assertAlmostEqual(masked[ring].self_nearest[0], nearest)
+        self.assertEqual(
+            [masked[ring].reading[0] for ring in RINGS], [VALID, VALID, MASKED]
+        )
+        self.assertEqual(len(self.cell["twin"].asked), 7)
+
+        # One by one they would be told the same.
+        for ring in RINGS:
+            self.setUp()
+            self.fix("velocity_measured", [-1.5, 0, 0, 0, 0, 0])
+            self.approach()
+            self.fix_scan(scans[ring], ring)
+            self.simulator.AdvanceTo(0.049)
+            alone = self.eval(ring)
+            for field in dc.fields(MaskedScan):
+                if field.name != "scan":
+                    np.testing.assert_array_equal(
+                        getattr(masked[ring], field.name),
+                        getattr(alone, field.name),
+                        err_msg=f"{ring} {field.name}",
+                    )
+
+    def test_rings_of_one_sampling_time_share_their_looks(self):
+        self.fix("velocity_measured", [-1.5, 0, 0, 0, 0, 0])
+        self.approach()
+        for ring in RINGS:
+            self.fix_scan(make_scan(0.5, time=0.029), ring)
+        self.simulator.AdvanceTo(0.049)
+        self.assertEqual(len(self.cell["twin"].asked), 1)
+        for ring in RINGS:
+            self.fix_scan(make_scan(0.4, time=0.037, sequence=1), ring)
+        self.simulator.AdvanceTo(0.057)
+        self.assertEqual(len(self.cell["twin"].asked), 4)
+        for ring in RINGS:
+            self.assertEqual(self.eval(ring).scan.sequence, 1)
+            self.assertEqual(self.eval(ring).reading[0], VALID)
+
+    def test_other_control_ticks(self):
+        for period in (0.001, 0.002, 0.016, 0.072):
+            config = mut.OcclusionMaskConfig()
+            self.setUp()
+            self.set_up_dut(
+                mut.OcclusionMask(config=config, period=period, **self.cell)
+            )
+            last = int(np.ceil(0.3 / period))
+            # As old as a sample may be, and a look back from there.
+            time = period * last - config.max_age + 1e-6
+            for tick in range(last + 1):
+                self.fix(
+                    "position_measured",
+                    [0.5 + 1.25 * (period * tick - time), *[0] * 5],
+                )
+                if tick == last:
+                    self.fix_scan(make_scan(0.4, time=time))
+                self.simulator.AdvanceTo(period * (tick + 0.5))
+            dut = self.eval()
+            self.assertEqual(dut.reading[0], VALID)
+            self.assertAlmostEqual(dut.position[0, 0], 0.5)
+            # 4 ms earlier it was 5 mm nearer.
+            self.assertAlmostEqual(dut.self_nearest[0], 0.495)
+
+    def test_tick_must_last(self):
+        for period in (0.0, -0.008, np.nan, np.inf):
+            with self.assertRaisesRegex(UserError, "period"):
+                mut.OcclusionMask(
+                    config=mut.OcclusionMaskConfig(),
+                    period=period,
+                    **self.cell,
+                )
+
+    def test_samples_may_be_as_old_as_a_tick(self):
+        with self.assertRaisesRegex(UserError, r"mask\.max_age: 0.07.*0.08"):
+            mut.OcclusionMask(
+                config=mut.OcclusionMaskConfig(max_age=0.07),
+                period=0.08,
+                **self.cell,
+            )
 
     def test_history_reaches_back_as_far_as_a_sample_may_be_old(self):
         for tick in range(30):

@@ -45,13 +45,14 @@ from tofssm_drake.sensing.separation import (
     TofSeparation,
     make_ring_geometry,
 )
-from tofssm_drake.sensing.tof_ring import (
-    TofRing,
+from tofssm_drake.sensing.tof_rings import (
     TofRingConfig,
+    TofRings,
     make_ring_bundles,
 )
 from tofssm_drake.sensing.vl53l1x import (
     NOISE_DRAWS,
+    SensorErrors,
     draw_sensor_errors,
     measure,
 )
@@ -74,29 +75,26 @@ class Twin:
         config = ProgramConfig()
         self.layout = ProductLayout.from_config(config)
         self.path = make_program_path(config, self.kinematics)
-        self.bundles = [
-            make_mask_bundles(
-                config=OcclusionMaskConfig(),
-                ring_config=TofRingConfig(),
-                caster=self.caster,
-                frame_id=mount.frame_id,
-                X_FS=mount.X_FS,
-                excluded=mount.geometry_ids,
-            )
-            for mount in self.mounts
-        ]
+        self.bundles = make_mask_bundles(
+            config=OcclusionMaskConfig(),
+            ring_config=TofRingConfig(),
+            caster=self.caster,
+            mounts=self.mounts,
+        )
         self.poses = TwinPoses.from_plant(
             self.plant, layout=self.layout, frame_ids=self.caster.frame_ids
         )
 
-    def calc_self_distance(self, ring, time):
+    def calc_self_distance(self, time):
+        """Returns what all rings' sensors see, (rings, 8, k)."""
         q = self.path.calc_motion(time)[0]
         X_WF = self.poses.calc(
             q,
             float(self.path.calc_gripper_closed(time)),
             self.path.calc_products_placed(time),
         )
-        return self.caster.cast_bundles(self.bundles[ring], X_WF)[0]
+        distance, _ = self.caster.cast_bundles(self.bundles, X_WF)
+        return distance.reshape(len(RINGS), 8, -1)
 
 
 @functools.cache
@@ -150,11 +148,8 @@ class TestReadingsOfTheRobotItself(unittest.TestCase):
         config = TofRingConfig().sensor
         mask = OcclusionMaskConfig()
         seen = 0
-        for ring in range(len(RINGS)):
-            for seed, time in enumerate(
-                np.linspace(0.0, twin.path.duration, 200)
-            ):
-                rays = twin.calc_self_distance(ring, time)
+        for seed, time in enumerate(np.linspace(0.0, twin.path.duration, 200)):
+            for ring, rays in enumerate(twin.calc_self_distance(time)):
                 generator = np.random.default_rng(seed)
                 distance, status = measure(
                     config,
@@ -297,38 +292,52 @@ def make_diagram(*, start, phases, mask_config, person=None, seed=0):
         "products_placed",
     ):
         builder.Connect(robot.GetOutputPort(name), mask.GetInputPort(name))
-    for i, ring in enumerate(RINGS):
-        mount = mut.find_ring_mount(plant, scene_graph.model_inspector(), ring)
-        tof_ring = builder.AddSystem(
-            TofRing(
+    for phase in sorted(set(phases)):
+        index = [i for i, p in enumerate(phases) if p == phase]
+        names = tuple(RINGS[i] for i in index)
+        errors = [
+            draw_sensor_errors(config.sensor, sensors=8, seed=seed, ring=i)
+            for i in index
+        ]
+        rings = builder.AddSystem(
+            TofRings(
                 config=config,
                 caster=caster,
                 bundles=make_ring_bundles(
                     config=config,
                     caster=caster,
-                    frame_id=mount.frame_id,
-                    X_FS=mount.X_FS,
-                    excluded=mount.geometry_ids,
+                    mounts=[
+                        mut.find_ring_mount(
+                            plant, scene_graph.model_inspector(), ring
+                        )
+                        for ring in names
+                    ],
                 ),
-                errors=draw_sensor_errors(
-                    config.sensor, sensors=8, seed=seed, ring=i
+                errors=SensorErrors(
+                    bias=np.concatenate([e.bias for e in errors]),
+                    gain=np.concatenate([e.gain for e in errors]),
                 ),
-                phase=phases[i],
+                phase=phase,
+                name=names,
             )
         )
         builder.Connect(
             scene_graph.get_query_output_port(),
-            tof_ring.GetInputPort("geometry_query"),
+            rings.GetInputPort("geometry_query"),
         )
-        noise = builder.AddSystem(Noise(8 * NOISE_DRAWS, seed + i))
-        builder.Connect(noise.get_output_port(), tof_ring.GetInputPort("noise"))
-        builder.Connect(
-            tof_ring.GetOutputPort("scan"), mask.GetInputPort(f"scan_{ring}")
+        noise = builder.AddSystem(
+            Noise(rings.GetInputPort("noise").size(), seed + index[0])
         )
-        builder.Connect(
-            mask.GetOutputPort(f"masked_scan_{ring}"),
-            separation.GetInputPort(f"masked_scan_{ring}"),
-        )
+        builder.Connect(noise.get_output_port(), rings.GetInputPort("noise"))
+        for ring in names:
+            builder.Connect(
+                rings.GetOutputPort(f"scan_{ring}"),
+                mask.GetInputPort(f"scan_{ring}"),
+            )
+            builder.Connect(
+                mask.GetOutputPort(f"masked_scan_{ring}"),
+                separation.GetInputPort(f"masked_scan_{ring}"),
+            )
     builder.ExportOutput(separation.GetOutputPort("separation"), "separation")
     return builder.Build()
 
@@ -356,8 +365,13 @@ class TestTogether(unittest.TestCase):
         return times[int(np.argmax(speed))] - 0.4
 
     def test_moving_robot_alone_sees_nobody(self):
-        # Phases off the control tick, so that joints are interpolated.
-        for phases in ((0.0, 0.008, 0.016), (0.003, 0.011, 0.019)):
+        # Phases off the control tick, so that joints are interpolated; rings
+        # that sample together.
+        for phases in (
+            (0.0, 0.008, 0.016),
+            (0.003, 0.011, 0.019),
+            (0.003, 0.003, 0.003),
+        ):
             diagram = make_diagram(
                 start=self.find_fast_part(),
                 phases=phases,

@@ -82,7 +82,7 @@ def make_masked_scan(
     )
 
 
-def calc_row(masked_scan, **settings):
+def calc_row(masked_scan, k_max=3.3, **settings):
     n = len(masked_scan.reading)
     return mut.make_separation(
         mut.calc_link_row(
@@ -91,6 +91,7 @@ def calc_row(masked_scan, **settings):
             mut.make_ring_geometry(make_X_LS(n)),
             FakeKinematics(),
             0,
+            k_max,
         )[None],
         ("base",),
     )
@@ -99,11 +100,11 @@ def calc_row(masked_scan, **settings):
 class TestConfig(unittest.TestCase):
     def test_loads_and_checks(self):
         dut = yaml_load_typed(
-            schema=mut.SeparationConfig, data="{literal: true, k_max: 1.7}"
+            schema=mut.SeparationConfig, data="{literal: true, V_hmax: 2.0}"
         )
         dut.check("separation")
+        self.assertTrue(dut.literal)
         for name, bad in (
-            ("k_max", 0.0),
             ("V_hmax", -1.0),
             ("max_gap", np.nan),
             ("max_faulted_sensors", -1),
@@ -351,6 +352,19 @@ class TestLinkRow(unittest.TestCase):
         self.assertAlmostEqual(dut.k_l[0], expected_k_l, delta=1e-9)
         self.assertAlmostEqual(dut.k_o[0], expected_k_o, delta=1e-9)
 
+    def test_speeds_are_saturated(self):
+        masked_scan = make_masked_scan(
+            [0.5],
+            [VALID],
+            dt=0.024,
+            previous=[0.7],
+            qd=np.array([1.2, 0, 0, 0, 0, 0]),
+        )
+        for k_max in (0.5, 3.3):
+            dut = calc_row(masked_scan, k_max)
+            self.assertAlmostEqual(dut.k_l[0], min(1.2, k_max))
+            self.assertEqual(dut.k_o[0], k_max)
+
 
 class TestTofSeparation(unittest.TestCase):
     def setUp(self):
@@ -390,6 +404,31 @@ class TestTofSeparation(unittest.TestCase):
         self.assertTrue((separation.sequence == -1).all())
         self.assertTrue((separation.time == -np.inf).all())
         self.assertEqual(self.kinematics.calls, 0)
+
+    def make_one(self, k_max):
+        return mut.TofSeparation(
+            config=mut.SeparationConfig(),
+            k_max=k_max,
+            kinematics=self.kinematics,
+            geometries=[mut.make_ring_geometry(make_X_LS(8))],
+            name=("base",),
+        )
+
+    def test_saturates_at_its_k_max(self):
+        self.dut = self.make_one(0.5)
+        self.context = self.dut.CreateDefaultContext()
+        self.fix(
+            "base",
+            make_masked_scan(
+                [0.5] * 8, [VALID] * 8, dt=0.024, previous=[0.7] * 8
+            ),
+        )
+        self.assertEqual(self.eval().k_o[0], 0.5)
+
+    def test_rejects_a_k_max_that_is_no_speed(self):
+        for k_max in (0.0, -1.0, np.nan, np.inf):
+            with self.assertRaisesRegex(ValueError, "k_max"):
+                self.make_one(k_max)
 
     def test_only_the_ring_with_a_new_scan_changes(self):
         for i, ring in enumerate(RINGS):

@@ -1,3 +1,4 @@
+import dataclasses as dc
 import unittest
 
 from hypothesis import given, settings
@@ -12,6 +13,7 @@ from tofssm_drake.messages import (
     RINGS,
     RingHealth,
     RobotState,
+    SafetyIndex,
     Separation,
     make_empty_separation,
 )
@@ -343,6 +345,99 @@ class TestDsiFilter(unittest.TestCase):
             np.testing.assert_allclose(self.eval().dsi, 0.175)
         np.testing.assert_allclose(self.eval().d_R, 0.995)
 
+    def test_same_message_until_something_is_new(self):
+        """What follows from the index need not be calculated again."""
+        self.fix(make_separation(distance=0.6), 2)
+        index = self.eval()
+        self.update()
+        self.assertIs(self.eval(), index)
+        # The robot state alone is news only for the next sample.
+        self.fix(robot_state=1)
+        self.update()
+        self.assertIs(self.eval(), index)
+        self.fix(make_separation(sequence=1))
+        after = self.eval()
+        self.assertIsNot(after, index)
+        self.update()
+        self.assertIs(self.eval(), after)
+        np.testing.assert_allclose(after.d_R, 1.165)
+
+    def test_changed_sample_is_calculated_again(self):
+        """Also where it has the number of the one that is stored."""
+        separation = make_separation(distance=0.6)
+        for change in (
+            {"health": np.full(3, RingHealth.FAULTED)},
+            {"k_o": np.full(3, 1.6)},
+            {"link_speed": np.full(3, 1.0)},
+            {"distance": np.array([np.nan, 0.6, 0.6])},
+            {"time": np.full(3, -1.0)},
+            {"sequence": np.array([0, 1, 0]), "distance": np.full(3, 0.3)},
+        ):
+            with self.subTest(change):
+                self.setUp()
+                self.fix(separation, 2)
+                self.eval()
+                self.update()
+                before = self.eval()
+                changed = dc.replace(separation, **change)
+                self.fix(changed)
+                self.check_is_calculated(changed)
+                # And back.
+                self.fix(separation)
+                self.check_is_calculated(separation)
+                np.testing.assert_array_equal(self.eval().dsi, before.dsi)
+
+    def test_state_set_by_hand_is_calculated_again(self):
+        separation = make_separation(distance=1.0)
+        self.fix(separation, 2)
+        self.eval()
+        self.update()
+        stored = self.context.get_discrete_state_vector().value().copy()
+        self.eval()
+        for i in range(len(stored)):
+            for value in (-1.0, 0.0, 1.0, 2.0, 3.0):
+                state = stored.copy()
+                state[i] = value
+                self.context.SetDiscreteState(state)
+                self.check_is_calculated(separation)
+        self.context.SetDiscreteState(stored)
+        self.check_is_calculated(separation)
+
+    def check_is_calculated(self, separation):
+        """Compares the output with what a new filter would make of it."""
+        expected = mut.calc_safety_index(
+            constants=make_distance_constants(SsmConfig()),
+            state=self.context.get_discrete_state_vector().value(),
+            separation=separation,
+        )
+        index = self.eval()
+        for field in dc.fields(SafetyIndex):
+            np.testing.assert_array_equal(
+                getattr(index, field.name),
+                getattr(expected, field.name),
+                err_msg=field.name,
+            )
+
+    def test_other_control_ticks(self):
+        for period in (0.002, 0.016):
+            dut = mut.DsiFilter(period=period)
+            simulator = Simulator(dut)
+            context = simulator.get_mutable_context()
+            dut.GetInputPort("separation").FixValue(
+                context, Value(make_separation(sequence=5))
+            )
+            dut.GetInputPort("robot_state").FixValue(context, [2.0])
+            simulator.AdvanceTo(0.5 * period)
+            state = context.get_discrete_state_vector()
+            self.assertEqual(state[0], 5)
+            dut.GetInputPort("separation").FixValue(
+                context, Value(make_separation(sequence=6))
+            )
+            simulator.AdvanceTo(0.99 * period)
+            self.assertEqual(state[0], 5)
+            simulator.AdvanceTo(1.01 * period)
+            self.assertEqual(state[0], 6)
+
     def test_contexts_are_independent(self):
         self.fix(make_separation(distance=0.6), 2)
         self.update()
@@ -373,6 +468,11 @@ class TestDsiFilter(unittest.TestCase):
     def test_bad_config(self):
         with self.assertRaises(UserError):
             mut.DsiFilter(config=SsmConfig(alpha_I=2.0))
+
+    def test_tick_must_last(self):
+        for period in (0.0, -0.008, np.nan, np.inf):
+            with self.assertRaisesRegex(UserError, "period"):
+                mut.DsiFilter(period=period)
 
     def test_loop_with_the_state(self):
         """Checks hysteresis in the closed loop of filter and state.

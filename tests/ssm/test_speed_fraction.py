@@ -22,13 +22,17 @@ schedules = st.lists(
 )
 
 
-def run(states, *, rho=0.0, rate=0.0, literal=False):
+def run(states, *, rho=0.0, rate=0.0, literal=False, period=PERIOD):
     """Returns rho and its rate after each tick, the start included."""
     config = SsmConfig(literal=literal)
     values = [(rho, rate)]
     for psi in states:
         rho, rate = mut.calc_next_speed_fraction(
-            config=config, rho=rho, rate=rate, target=TARGETS[psi]
+            config=config,
+            period=period,
+            rho=rho,
+            rate=rate,
+            target=TARGETS[psi],
         )
         values.append((rho, rate))
     return np.array(values)
@@ -73,6 +77,28 @@ class TestCalcNextSpeedFraction(unittest.TestCase):
         np.testing.assert_allclose(
             run([0] * 50, rho=1.0)[:, 0], expected, rtol=0.0, atol=1e-9
         )
+
+    def test_other_control_ticks(self):
+        """Whatever the tick, the same ramp is stepped along."""
+        for period in (0.001, 0.002, 0.016):
+            ticks = round(0.4 / period)
+            rho = run([0] * (ticks + 1), rho=1.0, period=period)[:, 0]
+            t = period * np.arange(ticks + 1)
+            expected = np.interp(
+                t,
+                PERIOD * np.arange(51),
+                run([0] * 50, rho=1.0)[:, 0],
+            )
+            # Within what linear interpolation misses of the 8 ms ramp.
+            np.testing.assert_allclose(
+                rho[:-1],
+                expected,
+                rtol=0.0,
+                atol=MAX_ACCELERATION * PERIOD**2 / 8.0 + 1e-9,
+            )
+            self.assertGreater(rho[ticks - 1], 0.0)
+            self.assertAlmostEqual(rho[ticks], 0.0, delta=1e-9)
+            self.assertEqual(rho[ticks + 1], 0.0)
 
     def test_stays_where_it_is(self):
         for psi, rho in enumerate(TARGETS):
@@ -159,7 +185,11 @@ class TestCalcNextSpeedFraction(unittest.TestCase):
         ):
             self.assertEqual(
                 mut.calc_next_speed_fraction(
-                    config=SsmConfig(), rho=rho, rate=rate, target=target
+                    config=SsmConfig(),
+                    period=PERIOD,
+                    rho=rho,
+                    rate=rate,
+                    target=target,
                 ),
                 (0.0, 0.0),
             )
@@ -170,7 +200,11 @@ class TestCalcNextSpeedFraction(unittest.TestCase):
                 ruckig.return_value.calculate.return_value = result
                 self.assertEqual(
                     mut.calc_next_speed_fraction(
-                        config=SsmConfig(), rho=0.5, rate=0.0, target=1.0
+                        config=SsmConfig(),
+                        period=PERIOD,
+                        rho=0.5,
+                        rate=0.0,
+                        target=1.0,
                     ),
                     (0.0, 0.0),
                 )
@@ -182,13 +216,14 @@ class TestSpeedFractionTrajectory(unittest.TestCase):
         self.simulator = Simulator(self.dut)
         self.context = self.simulator.get_mutable_context()
         self.tick = 0
+        self.period = PERIOD
 
     def advance(self, psi, ticks):
         """Returns the output after each tick."""
         self.dut.GetInputPort("robot_state").FixValue(self.context, [psi])
         result = []
         for _ in range(ticks):
-            self.simulator.AdvanceTo(PERIOD * self.tick + 0.004)
+            self.simulator.AdvanceTo(self.period * (self.tick + 0.5))
             self.tick += 1
             result.append(
                 self.dut.GetOutputPort("speed_fraction").Eval(self.context)[0]
@@ -209,6 +244,23 @@ class TestSpeedFractionTrajectory(unittest.TestCase):
             self.assertNotEqual(rho[-2], target)
             self.assertEqual(rho[-1], target)
 
+    def test_other_control_ticks(self):
+        for self.period, ticks in ((0.002, 200), (0.016, 25)):
+            self.dut = mut.SpeedFractionTrajectory(period=self.period)
+            self.simulator = Simulator(self.dut)
+            self.context = self.simulator.get_mutable_context()
+            self.tick = 0
+            rho = np.concatenate(
+                [self.advance(2, ticks), self.advance(0, ticks)]
+            )
+            self.assertLess(rho[ticks - 2], 1.0)
+            self.assertAlmostEqual(rho[ticks - 1], 1.0)
+            self.assertGreater(rho[-2], 0.0)
+            self.assertAlmostEqual(rho[-1], 0.0)
+            self.assertAlmostEqual(
+                np.diff(rho).max() / self.period, MAX_RATE, delta=0.1
+            )
+
     def test_unknown_state_stops(self):
         for psi in (np.nan, np.inf, -1.0, 0.5, 3.0):
             self.advance(2, 60)
@@ -227,3 +279,8 @@ class TestSpeedFractionTrajectory(unittest.TestCase):
     def test_bad_config(self):
         with self.assertRaises(UserError):
             mut.SpeedFractionTrajectory(config=SsmConfig(rho_max_rate=-1.0))
+
+    def test_tick_must_last(self):
+        for period in (0.0, -0.008, np.nan, np.inf):
+            with self.assertRaisesRegex(UserError, "period"):
+                mut.SpeedFractionTrajectory(period=period)

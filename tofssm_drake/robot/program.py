@@ -21,7 +21,7 @@ from pydrake.systems.framework import (
 )
 import ruckig
 
-from tofssm_drake.errors import UserError, require
+from tofssm_drake.errors import UserError, require, require_period
 from tofssm_drake.robot.kinematics import (
     RingKinematics,
     calc_tool_down_joints,
@@ -486,6 +486,7 @@ class PickAndPlaceProgram(LeafSystem):
         period: float = 0.008,
     ):
         super().__init__()
+        require_period(period)
         self._path = make_program_path(config, kinematics)
         self._period = period
         self._speed_fraction = self.DeclareVectorInputPort("speed_fraction", 1)
@@ -554,19 +555,13 @@ class PickAndPlaceProgram(LeafSystem):
         discrete_state.set_value(
             self._progress, np.array([s, rate, change, time])
         )
+        # Compared with what they are: the last tick of a stop has moved the
+        # robot, too, and someone may have set its path time.
         path = self._path
-        for index, before, now in (
-            (
-                self._gripper_closed,
-                path.calc_gripper_closed(state[0]),
-                path.calc_gripper_closed(s),
-            ),
-            (
-                self._products_placed,
-                path.calc_products_placed(state[0]),
-                path.calc_products_placed(s),
-            ),
-            (self._task_done, state[0] >= path.duration, s >= path.duration),
+        for index, value in (
+            (self._gripper_closed, path.calc_gripper_closed(s)),
+            (self._products_placed, path.calc_products_placed(s)),
+            (self._task_done, s >= path.duration),
         ):
-            if now != before:
-                discrete_state.set_value(index, [float(now)])
+            if value != context.get_discrete_state(index).value()[0]:
+                discrete_state.set_value(index, [float(value)])

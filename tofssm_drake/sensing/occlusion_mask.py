@@ -17,6 +17,7 @@ from pydrake.systems.framework import (
     State,
 )
 
+from tofssm_drake.errors import require, require_period
 from tofssm_drake.geometry.fan import make_cone_fan
 from tofssm_drake.geometry.ray_caster import RayBundles, RayCaster
 from tofssm_drake.messages import RINGS, MaskedScan, Reading, RingScan
@@ -607,6 +608,12 @@ class OcclusionMask(LeafSystem):
         """
         super().__init__()
         config.check("mask")
+        require_period(period)
+        require(
+            config.max_age >= period,
+            f"mask.max_age: {config.max_age} is shorter than the control tick "
+            f"of {period}",
+        )
         n, rest = divmod(bundles.num_bundles, len(name))
         if n == 0 or rest:
             raise ValueError(
@@ -627,8 +634,9 @@ class OcclusionMask(LeafSystem):
         self._products_placed = self.DeclareVectorInputPort(
             "products_placed", 1
         )
-        # A sample that is not stale lies within the history.
-        length = math.ceil(config.max_age / period) + 2
+        # A sample that is not stale lies within the history, and so does the
+        # look back from it.
+        length = math.ceil((config.max_age + config.time_margin) / period) + 2
         self._history = self.DeclareDiscreteState(
             make_robot_history(length).ravel()
         )

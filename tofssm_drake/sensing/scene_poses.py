@@ -53,7 +53,6 @@ class ScenePoses(LeafSystem):
         self._human_rows = np.array([row[f] for f in human_frame_ids], int)
         others = [f for f in caster.frame_ids if f not in set(human_frame_ids)]
         self._other_rows = np.array([row[f] for f in others], int)
-        self._num_frames = len(row)
         self._poses = TwinPoses.from_plant(
             plant, layout=layout, frame_ids=others
         )

@@ -402,9 +402,13 @@ class TofSeparation(LeafSystem):
 
         Raises:
             UserError: if a setting is out of range.
+            ValueError: if there are not as many rings as names, or k_max is
+                no speed.
         """
         super().__init__()
         config.check("separation")
+        if not (math.isfinite(k_max) and k_max > 0.0):
+            raise ValueError(f"k_max: {k_max} is no speed above 0")
         self._k_max = k_max
         self._config = config
         self._kinematics = kinematics

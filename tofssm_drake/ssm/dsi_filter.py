@@ -1,10 +1,13 @@
 """Filter of the Distance Safety Index (the 2019 paper's Algorithm 1)."""
 
+import dataclasses as dc
+
 from numba import njit
 import numpy as np
 from pydrake.common.value import Value
 from pydrake.systems.framework import EventStatus, LeafSystem
 
+from tofssm_drake.errors import require_period
 from tofssm_drake.messages import (
     RINGS,
     RingHealth,
@@ -67,25 +70,28 @@ def _threshold(C_dC, distance):
 
 @njit(cache=True)
 def _calc_index(c, state, sequence, distance, link_speed, k, health, index):
-    # Rows of `index`: d_C, d_R, dsi_raw, dsi, dsi_C, dsi_R, health.
+    # Rows of `index`: sequence, dsi and the thresholds' robot state, as they
+    # will be stored, then d_C, d_R, dsi_raw, dsi_C, dsi_R, health.
     m = len(sequence)
     for i in range(m):
         dsi = state[m + i]
         is_new = sequence[i] != state[i]
+        robot_state = state[3 * m] if is_new else state[2 * m + i]
+        index[0, i] = sequence[i]
+        index[1, i] = dsi
+        index[2, i] = robot_state
         if sequence[i] < 0 or not (
             distance[i] == distance[i]
             and (c.fixed or np.isfinite(k[i] + link_speed[i]))
         ):
             # Nothing is known: no distance is far enough.
-            index[0, i] = np.inf
-            index[1, i] = np.inf
-            index[2, i] = np.nan
-            index[3, i] = dsi
-            index[4, i] = 0.0
-            index[5, i] = 0.0
-            index[6, i] = _FAULTED
+            index[3, i] = np.inf
+            index[4, i] = np.inf
+            index[5, i] = np.nan
+            index[6, i] = 0.0
+            index[7, i] = 0.0
+            index[8, i] = _FAULTED
             continue
-        robot_state = state[3 * m] if is_new else state[2 * m + i]
         d_C = critical_distance(c, k[i], link_speed[i])
         d_R = reduced_distance(c, k[i], robot_state, d_C)
         dsi_C = _threshold(c.C_dC, d_C)
@@ -94,13 +100,13 @@ def _calc_index(c, state, sequence, distance, link_speed, k, health, index):
             dsi_raw = (c.C_dC / max(distance[i], MIN_DISTANCE)) ** 2
             if is_new:
                 dsi = filter_index(dsi_raw, dsi, dsi_C, c.alpha_I, c.alpha_D)
-        index[0, i] = d_C
-        index[1, i] = d_R
-        index[2, i] = dsi_raw
-        index[3, i] = dsi
-        index[4, i] = dsi_C
-        index[5, i] = _threshold(c.C_dC, d_R)
-        index[6, i] = health[i]
+        index[1, i] = dsi
+        index[3, i] = d_C
+        index[4, i] = d_R
+        index[5, i] = dsi_raw
+        index[6, i] = dsi_C
+        index[7, i] = _threshold(c.C_dC, d_R)
+        index[8, i] = health[i]
 
 
 @njit(cache=True)
@@ -131,6 +137,15 @@ def make_initial_filter_state(m: int) -> np.ndarray:
     )
 
 
+@dc.dataclass(frozen=True, eq=False, kw_only=True)
+class _FilteredIndex(SafetyIndex):
+    """An index that knows what it was made of."""
+
+    separation: Separation
+    to_store: np.ndarray
+    """What the filter's state will hold of the links, (3, m)."""
+
+
 def calc_safety_index(
     *,
     constants: DistanceConstants,
@@ -153,7 +168,7 @@ def calc_safety_index(
         The index. `dsi_raw` is NaN where the link has no reading. A distance
         or speed that is not a number makes the link FAULTED.
     """
-    index = np.empty((7, len(separation.sequence)))
+    index = np.empty((9, len(separation.sequence)))
     _calc_index(
         constants,
         state,
@@ -164,26 +179,28 @@ def calc_safety_index(
         separation.health,
         index,
     )
-    return SafetyIndex(
+    return _FilteredIndex(
         name=separation.name,
         sequence=separation.sequence,
         time=separation.time,
-        d_C=index[0],
-        d_R=index[1],
-        dsi_raw=index[2],
-        dsi=index[3],
-        dsi_C=index[4],
-        dsi_R=index[5],
-        health=index[6].astype(np.uint8),
+        d_C=index[3],
+        d_R=index[4],
+        dsi_raw=index[5],
+        dsi=index[1],
+        dsi_C=index[6],
+        dsi_R=index[7],
+        health=index[8].astype(np.uint8),
+        separation=separation,
+        to_store=index[:3],
     )
 
 
 @njit(cache=True)
-def _is_stored(state, sequence, dsi):
-    m = len(sequence)
-    for i in range(m):
-        if state[i] != sequence[i] or state[m + i] != dsi[i]:
-            return False
+def _is_stored(state, to_store):
+    for i in range(to_store.shape[0]):
+        for j in range(to_store.shape[1]):
+            if state[i * to_store.shape[1] + j] != to_store[i, j]:
+                return False
     return True
 
 
@@ -192,16 +209,18 @@ def is_stored(
 ) -> bool:
     """Returns whether an index is what the filter makes of a separation.
 
-    So it is if it was made of this very separation and is already stored;
-    then there is nothing to calculate.
+    So it is if it was made of this very separation and the state is what
+    follows from it; then there is nothing to calculate.
 
     Args:
         state: As make_initial_filter_state() tells, shape (3 m + 1,).
         index: Made before, of whatever separation.
         separation: What the sensing found.
     """
-    return index.sequence is separation.sequence and _is_stored(
-        state, index.sequence, index.dsi
+    return (
+        isinstance(index, _FilteredIndex)
+        and index.separation is separation
+        and _is_stored(state, index.to_store)
     )
 
 
@@ -258,6 +277,7 @@ class DsiFilter(LeafSystem):
         super().__init__()
         config = SsmConfig() if config is None else config
         config.check("ssm")
+        require_period(period)
         self._constants = make_distance_constants(config)
         self._name = tuple(name)
 

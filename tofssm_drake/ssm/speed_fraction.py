@@ -13,6 +13,7 @@ from ruckig import (
     Trajectory,
 )
 
+from tofssm_drake.errors import require_period
 from tofssm_drake.messages import RobotState
 from tofssm_drake.ssm.config import SsmConfig
 
@@ -109,6 +110,7 @@ class SpeedFractionTrajectory(LeafSystem):
         super().__init__()
         config = SsmConfig() if config is None else config
         config.check("ssm")
+        require_period(period)
         self._config = dc.replace(config)
         self._period = period
         self._targets = {

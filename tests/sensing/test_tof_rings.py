@@ -21,7 +21,8 @@ from pydrake.systems.primitives import ConstantVectorSource
 from tofssm_drake.errors import UserError
 from tofssm_drake.geometry.ray_caster import RayCaster
 from tofssm_drake.messages import RingScan
-import tofssm_drake.sensing.tof_ring as mut
+from tofssm_drake.sensing.ring_mount import RingMount
+import tofssm_drake.sensing.tof_rings as mut
 from tofssm_drake.sensing.vl53l1x import (
     NOISE_DRAWS,
     SensorErrors,
@@ -65,6 +66,17 @@ def make_X_WS(n=8, radius=0.0):
     return [RigidTransform(R, R @ [radius, 0, 0]) for R in rotations]
 
 
+def make_mount(name, frame_id, *, X_FS=None, excluded=()):
+    X_FS = make_X_WS() if X_FS is None else X_FS
+    return RingMount(
+        name=name,
+        frame_id=frame_id,
+        X_FS=X_FS,
+        X_LS=X_FS,
+        geometry_ids=list(excluded),
+    )
+
+
 def make_cell(config, *, phase=0.0, errors=None, noise=0.0, housing=False):
     """A ring at the world's origin and a sphere that comes along x."""
     builder = DiagramBuilder()
@@ -87,18 +99,19 @@ def make_cell(config, *, phase=0.0, errors=None, noise=0.0, housing=False):
     bundles = mut.make_ring_bundles(
         config=config,
         caster=caster,
-        frame_id=scene_graph.world_frame_id(),
-        X_FS=make_X_WS(),
-        excluded=excluded,
+        mounts=[
+            make_mount("base", scene_graph.world_frame_id(), excluded=excluded)
+        ],
     )
     ring = builder.AddNamedSystem(
         "ring",
-        mut.TofRing(
+        mut.TofRings(
             config=config,
             caster=caster,
             bundles=bundles,
             errors=errors,
             phase=phase,
+            name=("base",),
         ),
     )
     builder.Connect(
@@ -109,7 +122,7 @@ def make_cell(config, *, phase=0.0, errors=None, noise=0.0, housing=False):
             ConstantVectorSource(np.full(8 * NOISE_DRAWS, noise))
         )
         builder.Connect(source.get_output_port(), ring.GetInputPort("noise"))
-    builder.ExportOutput(ring.GetOutputPort("scan"), "scan")
+    builder.ExportOutput(ring.GetOutputPort("scan_base"), "scan")
     return builder.Build()
 
 
@@ -178,7 +191,7 @@ class TestConfig(unittest.TestCase):
             dut.check("here")
 
 
-class TestTofRing(unittest.TestCase):
+class TestTofRings(unittest.TestCase):
     def run_until(self, diagram, times):
         simulator = Simulator(diagram)
         port = diagram.GetOutputPort("scan")
@@ -246,18 +259,19 @@ class TestTofRing(unittest.TestCase):
         builder = DiagramBuilder()
         counter = builder.AddSystem(Counter(0.008))
         sampler = builder.AddSystem(
-            mut.TofRing(
+            mut.TofRings(
                 config=make_ideal(),
                 caster=XCaster(),
                 bundles=SimpleNamespace(num_bundles=1),
                 phase=0.008,
+                name=("base",),
             )
         )
         builder.Connect(
             counter.GetOutputPort("frame_poses"),
             sampler.GetInputPort("frame_poses"),
         )
-        builder.ExportOutput(sampler.GetOutputPort("scan"), "scan")
+        builder.ExportOutput(sampler.GetOutputPort("scan_base"), "scan")
         for i, scan in enumerate(
             self.run_until(builder.Build(), 0.030 + 0.024 * np.arange(100))
         ):
@@ -289,6 +303,140 @@ class TestTofRing(unittest.TestCase):
         )[0]
         self.assertAlmostEqual(scan.distance[0], 0.988)
         self.assertTrue((scan.status[1:] == 2).all())
+
+    def test_several_rings_are_as_each_alone(self):
+        """Sensor by sensor, with noise and errors, on moving links."""
+        config = mut.TofRingConfig()
+        n = 8
+        rng = np.random.default_rng(1)
+        noise = rng.standard_normal((3 * n, NOISE_DRAWS))
+        errors = SensorErrors(
+            bias=rng.normal(0.0, 0.01, 3 * n), gain=rng.normal(1.0, 0.1, 3 * n)
+        )
+        builder = DiagramBuilder()
+        scene_graph = builder.AddSystem(SceneGraph())
+        sphere = builder.AddSystem(MovingSphere(scene_graph))
+        builder.Connect(
+            sphere.GetOutputPort("pose"),
+            scene_graph.get_source_pose_port(sphere.source_id),
+        )
+        world_frame_id = scene_graph.world_frame_id()
+        wall = GeometryInstance(
+            RigidTransform([0.0, 0.7, 0.0]), Box(4.0, 0.1, 4.0), "wall"
+        )
+        wall.set_perception_properties(PerceptionProperties())
+        scene_graph.RegisterGeometry(sphere.source_id, world_frame_id, wall)
+        inspector = scene_graph.model_inspector()
+        caster = RayCaster(inspector)
+        mounts = [
+            make_mount("base", world_frame_id),
+            make_mount(
+                "elbow",
+                sphere.frame_id,
+                excluded=inspector.GetGeometries(sphere.frame_id),
+            ),
+            make_mount(
+                "tool",
+                world_frame_id,
+                X_FS=[
+                    RigidTransform([0.5, -0.4, 0.0]) @ X for X in make_X_WS()
+                ],
+            ),
+        ]
+
+        def add(name, members, sensors):
+            rings = builder.AddSystem(
+                mut.TofRings(
+                    config=config,
+                    caster=caster,
+                    bundles=mut.make_ring_bundles(
+                        config=config, caster=caster, mounts=members
+                    ),
+                    errors=SensorErrors(
+                        bias=errors.bias[sensors], gain=errors.gain[sensors]
+                    ),
+                    phase=0.008,
+                    name=tuple(mount.name for mount in members),
+                )
+            )
+            source = builder.AddSystem(
+                ConstantVectorSource(noise[sensors].ravel())
+            )
+            builder.Connect(
+                source.get_output_port(), rings.GetInputPort("noise")
+            )
+            builder.Connect(
+                scene_graph.get_query_output_port(),
+                rings.GetInputPort("geometry_query"),
+            )
+            self.assertEqual(rings.num_sensors, n * len(members))
+            for mount in members:
+                builder.ExportOutput(
+                    rings.GetOutputPort(f"scan_{mount.name}"),
+                    f"{name}_{mount.name}",
+                )
+
+        add("all", mounts, slice(0, 3 * n))
+        for i, mount in enumerate(mounts):
+            add("one", [mount], slice(n * i, n * i + n))
+        diagram = builder.Build()
+        simulator = Simulator(diagram)
+        seen = np.zeros((3, n), dtype=bool)
+        for k in range(20):
+            simulator.AdvanceTo(0.030 + 0.024 * k)
+            for i, mount in enumerate(mounts):
+                together, alone = (
+                    diagram.GetOutputPort(f"{name}_{mount.name}").Eval(
+                        simulator.get_context()
+                    )
+                    for name in ("all", "one")
+                )
+                self.assertEqual(together.sequence, k)
+                self.assertEqual(alone.sequence, k)
+                self.assertEqual(together.time, alone.time)
+                for field in ("sensor_time", "distance", "status"):
+                    np.testing.assert_array_equal(
+                        getattr(together, field), getattr(alone, field)
+                    )
+                    self.assertEqual(getattr(together, field).shape, (n,))
+                seen[i] |= alone.status == 0
+        # Every ring saw something, and not the same.
+        self.assertTrue(seen.any(axis=1).all())
+        self.assertFalse((seen[0] == seen[1]).all())
+        self.assertFalse((seen[0] == seen[2]).all())
+
+    def test_ports(self):
+        dut = mut.TofRings(
+            config=make_ideal(),
+            caster=XCaster(),
+            bundles=SimpleNamespace(num_bundles=24),
+        )
+        self.assertEqual(
+            [
+                dut.get_input_port(i).get_name()
+                for i in range(dut.num_input_ports())
+            ],
+            ["geometry_query", "frame_poses", "noise"],
+        )
+        self.assertEqual(
+            [
+                dut.get_output_port(i).get_name()
+                for i in range(dut.num_output_ports())
+            ],
+            ["scan_base", "scan_elbow", "scan_tool"],
+        )
+        self.assertEqual(dut.GetInputPort("noise").size(), 24 * NOISE_DRAWS)
+
+    def test_rejects_rays_that_do_not_suit_the_rings(self):
+        for num_bundles in (0, 8, 2):
+            with self.assertRaisesRegex(
+                ValueError, f"{num_bundles} for 3 rings"
+            ):
+                mut.TofRings(
+                    config=make_ideal(),
+                    caster=XCaster(),
+                    bundles=SimpleNamespace(num_bundles=num_bundles),
+                )
 
     def test_real_sensors_use_noise_and_errors(self):
         config = mut.TofRingConfig()
