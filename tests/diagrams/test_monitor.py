@@ -1,0 +1,184 @@
+"""The monitor alone, in front of rings that a test plays."""
+
+import numpy as np
+from pydrake.systems.analysis import Simulator
+import pytest
+
+from tofssm_drake.diagrams.monitor import make_monitor
+from tofssm_drake.diagrams.scenario import load_scenario
+from tofssm_drake.diagrams.station import make_station
+from tofssm_drake.messages import RINGS, RingScan, RobotState
+
+TICK = 0.008
+PERIOD = 0.024
+LATENCY = 0.015
+
+VALID, SIGNAL_FAIL, HARDWARE_FAIL = 0, 2, 5
+
+
+class Rig:
+    """A monitor whose rings see nothing until a test says otherwise."""
+
+    def __init__(self, monitor, q):
+        self.monitor = monitor
+        self.simulator = Simulator(monitor)
+        self.context = self.simulator.get_mutable_context()
+        for name, value in (
+            ("position_measured", q),
+            ("velocity_measured", np.zeros(6)),
+            ("gripper_closed", [0.0]),
+            ("products_placed", [0.0]),
+        ):
+            self.monitor.GetInputPort(name).FixValue(self.context, value)
+        self.scans = {
+            ring: self.monitor.GetInputPort(f"scan_{ring}").FixValue(
+                self.context, RingScan()
+            )
+            for ring in RINGS
+        }
+        self.sequence = dict.fromkeys(RINGS, -1)
+        self.silent = set()
+        self.readings = dict.fromkeys(RINGS, (SIGNAL_FAIL, 4.0))
+        self.simulator.Initialize()
+        self.tick = 0
+
+    def deliver(self, ring, age=LATENCY):
+        self.sequence[ring] += 1
+        status, distance = self.readings[ring]
+        time = self.tick * TICK
+        self.scans[ring].GetMutableData().set_value(
+            RingScan(
+                sequence=self.sequence[ring],
+                time=time - age + LATENCY,
+                sensor_time=np.full(8, time - age),
+                distance=np.broadcast_to(distance, 8).astype(float),
+                status=np.broadcast_to(status, 8).astype(np.uint8),
+            )
+        )
+
+    def run(self, duration):
+        """Advances; returns rows of (time, psi, rho)."""
+        rows = []
+        for _ in range(round(duration / TICK)):
+            if self.tick % round(PERIOD / TICK) == 0:
+                for ring in RINGS:
+                    if ring not in self.silent:
+                        self.deliver(ring)
+            self.tick += 1
+            self.simulator.AdvanceTo(self.tick * TICK)
+            rows.append((self.tick * TICK, self.state, self.rho))
+        return np.array(rows)
+
+    def eval(self, name):
+        return self.monitor.GetOutputPort(name).Eval(self.context)
+
+    @property
+    def state(self):
+        return self.eval("robot_state")[0]
+
+    @property
+    def rho(self):
+        return self.eval("speed_fraction")[0]
+
+
+@pytest.fixture(scope="module")
+def monitor():
+    return make_monitor(load_scenario())
+
+
+@pytest.fixture(scope="module")
+def start_position():
+    """The pose in which the program starts."""
+    station = make_station(load_scenario()).diagram
+    context = station.CreateDefaultContext()
+    return station.GetOutputPort("position_measured").Eval(context).copy()
+
+
+@pytest.fixture
+def rig(monitor, start_position):
+    return Rig(monitor, start_position)
+
+
+def test_stopped_until_every_ring_has_delivered(rig):
+    rig.silent = {"tool"}
+    rows = rig.run(0.5)
+    assert set(rows[:, 1]) == {RobotState.STOP}
+    assert set(rows[:, 2]) == {0.0}
+    assert rig.eval("reason") == "stop: tool has no sample yet"
+    rig.silent = set()
+    rows = rig.run(0.6)
+    assert rows[-1, 1] == RobotState.NORMAL
+    assert rows[-1, 2] == 1.0
+
+
+@pytest.mark.parametrize("ring", RINGS)
+def test_a_ring_that_falls_silent_stops_the_robot(rig, ring):
+    assert rig.run(0.8)[-1, 2] == 1.0
+    rig.silent = {ring}
+    start = rig.tick * TICK
+    rows = rig.run(0.6)
+    stopped = rows[rows[:, 1] == RobotState.STOP, 0]
+    assert stopped[0] - start <= 0.1 + TICK
+    assert (rows[rows[:, 0] >= stopped[0], 1] == RobotState.STOP).all()
+    assert rig.rho == 0.0
+    assert rig.eval("reason").startswith(f"stop: {ring} sample is")
+    assert rig.eval("ring_states").tolist() == [
+        RobotState.STOP if name == ring else RobotState.NORMAL for name in RINGS
+    ]
+    # It comes back as soon as the ring does.
+    rig.silent = set()
+    assert rig.run(0.6)[-1, 2] == 1.0
+
+
+@pytest.mark.parametrize("ring", RINGS)
+def test_a_broken_ring_stops_the_robot(rig, ring):
+    rig.run(0.8)
+    rig.readings[ring] = (HARDWARE_FAIL, 0.0)
+    rig.run(0.6)
+    assert rig.rho == 0.0
+    assert rig.eval("reason").startswith(f"stop: {ring} ")
+
+
+def test_a_frozen_ring_stops_the_robot(rig):
+    """Old samples under new numbers, as from a driver that hangs."""
+    rig.run(0.8)
+    rig.silent = set(RINGS)
+    for i in range(100):
+        for ring in RINGS:
+            rig.deliver(ring, age=LATENCY + i * TICK if ring == "tool" else 0)
+        rig.run(TICK)
+    assert rig.rho == 0.0
+    assert rig.eval("reason").startswith("stop: tool ")
+
+
+def test_scans_that_come_too_late_stop_the_robot(rig):
+    rig.silent = set(RINGS)
+    for _ in range(100):
+        for ring in RINGS:
+            rig.deliver(ring, age=0.2)
+        rig.run(TICK)
+        assert rig.state == RobotState.STOP
+        assert rig.rho == 0.0
+    assert rig.eval("reason").startswith("stop: base")
+
+
+def test_something_near_stops_and_its_leaving_releases(rig):
+    # Up to a tick in which the rings deliver.
+    rig.run(0.816)
+    rig.readings["elbow"] = ([VALID] + 7 * [SIGNAL_FAIL], 0.25)
+    start = rig.tick * TICK
+    rows = rig.run(0.6)
+    # In the tick in which the scan came.
+    assert rows[0, 1] == RobotState.STOP
+    assert rows[0, 0] == pytest.approx(start + TICK)
+    assert rig.rho == 0.0
+    assert rig.eval("reason").startswith("stop: elbow at 0.3")
+    rig.readings["elbow"] = (SIGNAL_FAIL, 0.0)
+    assert rig.run(0.8)[-1, 2] == 1.0
+
+
+def test_something_nearer_than_can_be_measured_stops(rig):
+    rig.run(0.8)
+    rig.readings["base"] = ([VALID] + 7 * [SIGNAL_FAIL], 0.01)
+    rig.run(0.6)
+    assert rig.rho == 0.0

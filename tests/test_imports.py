@@ -1,0 +1,127 @@
+"""Imports point one way: docs/design.md, Imports."""
+
+import ast
+import collections
+import graphlib
+from pathlib import Path
+import unittest
+
+_ROOT = Path(__file__).parents[1]
+
+# Folder in the repository by package.
+_FOLDERS = {
+    "tofssm_drake": _ROOT / "tofssm_drake",
+    "tofssm_drake.diagrams": _ROOT / "diagrams",
+    "tofssm_drake.models": _ROOT / "models",
+    "tofssm_drake.scripts": _ROOT / "scripts",
+}
+
+
+def find_modules():
+    """Yields (module name, path) of everything that is installed."""
+    for package, folder in _FOLDERS.items():
+        for path in sorted(folder.rglob("*.py")):
+            parts = path.relative_to(folder).with_suffix("").parts
+            if parts[-1] == "__init__":
+                parts = parts[:-1]
+            yield ".".join((package, *parts)), path
+
+
+def find_imports(path):
+    """Yields (module, level) of every import in a file, also in functions."""
+    for node in ast.walk(ast.parse(path.read_text("utf-8"))):
+        if isinstance(node, ast.Import):
+            for alias in node.names:
+                yield alias.name, 0
+        elif isinstance(node, ast.ImportFrom):
+            yield node.module or "", node.level
+            for alias in node.names:
+                yield f"{node.module}.{alias.name}", node.level
+
+
+def get_room(module):
+    """Returns the part of the package that a module is in."""
+    return module.split(".")[1] if "." in module else ""
+
+
+class TestImports(unittest.TestCase):
+    @classmethod
+    def setUpClass(cls):
+        cls.imports = collections.defaultdict(set)
+        cls.modules = dict(find_modules())
+        for module, path in cls.modules.items():
+            for name, level in find_imports(path):
+                assert level == 0, f"{path}: relative import of {name}"
+                cls.imports[module].add(name)
+        cls.rooms = collections.defaultdict(set)
+        for module, names in cls.imports.items():
+            for name in names:
+                if name.startswith("tofssm_drake."):
+                    cls.rooms[get_room(module)].add(get_room(name))
+        for room, names in cls.rooms.items():
+            names.discard(room)
+
+    def test_everything_is_looked_at(self):
+        self.assertGreater(len(self.modules), 50)
+        for room in ("ssm", "sensing", "diagrams", "scripts", "models"):
+            self.assertIn(room, {get_room(name) for name in self.modules})
+        self.assertIn("geometry", self.rooms["sensing"])
+        self.assertIn("diagrams", self.rooms["scripts"])
+
+    def test_the_package_knows_neither_diagrams_nor_scripts(self):
+        for room, names in self.rooms.items():
+            with self.subTest(room=room):
+                if room not in ("diagrams", "scripts"):
+                    self.assertNotIn("diagrams", names)
+                if room != "scripts":
+                    self.assertNotIn("scripts", names)
+
+    def test_messages_and_errors_know_nobody(self):
+        self.assertEqual(self.rooms["errors"], set())
+        self.assertLessEqual(self.rooms["messages"], {"errors"})
+
+    def test_the_safety_law_knows_only_messages(self):
+        self.assertEqual(self.rooms["ssm"], {"messages", "errors"})
+
+    def test_geometry_serves_four(self):
+        self.assertLessEqual(self.rooms["geometry"], {"messages", "errors"})
+        users = {r for r, names in self.rooms.items() if "geometry" in names}
+        self.assertLessEqual(
+            users, {"robot", "human", "sensing", "evaluation", "diagrams"}
+        )
+
+    def test_no_circle(self):
+        order = list(graphlib.TopologicalSorter(self.rooms).static_order())
+        self.assertEqual(order[-1], "scripts")
+        modules = {
+            module: {n for n in names if n in self.modules and n != module}
+            for module, names in self.imports.items()
+        }
+        graphlib.TopologicalSorter(modules).prepare()
+
+    def test_no_pydrake_all(self):
+        for module, names in self.imports.items():
+            self.assertFalse(
+                any(name.startswith("pydrake.all") for name in names), module
+            )
+
+    def test_everything_imported_is_a_dependency(self):
+        """Whoever installs the package without extras can import it."""
+        import sys
+
+        known = {
+            *("pydrake", "jinja2", "matplotlib", "numba", "numpy"),
+            *("pyarrow", "yaml", "rich", "ruckig", "typer", "tofssm_drake"),
+        }
+        extras = {
+            "tofssm_drake.robot.meshes": {
+                *("collada", "example_robot_data", "trimesh")
+            }
+        }
+        for module, names in self.imports.items():
+            tops = {name.partition(".")[0] for name in names}
+            with self.subTest(module=module):
+                self.assertLessEqual(
+                    tops - set(sys.stdlib_module_names),
+                    known | extras.get(module, set()),
+                )
