@@ -4,6 +4,7 @@ import dataclasses as dc
 import time
 
 from pydrake.systems.analysis import Simulator
+from pydrake.systems.framework import Context
 
 from tofssm_drake.diagrams.scenario import Scenario
 from tofssm_drake.diagrams.workcell import Workcell
@@ -62,6 +63,11 @@ class Run:
         self._products_placed = station.GetOutputPort("products_placed")
         self._steps = 0
         self._wall_time = 0.0
+
+    @property
+    def context(self) -> Context:
+        """The workcell's Context at the time reached."""
+        return self._context
 
     def advance(self) -> Progress:
         """Runs on for 25 control ticks, or to the end, and tells how far."""

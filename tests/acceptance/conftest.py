@@ -1,7 +1,9 @@
 """Complete runs, made once for all tests that look at them."""
 
+import dataclasses as dc
 import functools
 
+from pydrake.math import RigidTransform
 import pytest
 
 from tofssm_drake.diagrams.scenario import load_scenario
@@ -10,17 +12,87 @@ from tofssm_drake.diagrams.workcell import make_workcell
 from tofssm_drake.evaluation.metrics import calc_summary
 
 
+@dc.dataclass(frozen=True, kw_only=True)
+class Look:
+    """What a look into the cell shows."""
+
+    gripper_closed: bool
+    placed: int
+    X_WG: RigidTransform
+    """Pose of the gripper."""
+    X_WP: list[RigidTransform]
+    """Poses of the products."""
+    reason: str
+    """Why the robot is not in the normal state."""
+
+
+class Looker:
+    """Looks into the cell through the SceneGraph, as a camera would."""
+
+    def __init__(self, workcell, products):
+        self._station = workcell.station.diagram
+        self._monitor = workcell.diagram.GetSubsystemByName("monitor")
+        self._reason = self._monitor.GetOutputPort("reason")
+        plant = workcell.station.plant
+        (gripper,) = plant.GetBodyIndices(
+            plant.GetModelInstanceByName("gripper")
+        )
+        self._frame_ids = [plant.GetBodyFrameIdOrThrow(gripper)]
+        for i in range(products):
+            instance = plant.GetModelInstanceByName(f"product_{i}")
+            (body,) = plant.GetBodyIndices(instance)
+            self._frame_ids.append(plant.GetBodyFrameIdOrThrow(body))
+
+    def look(self, root_context):
+        context = self._station.GetMyContextFromRoot(root_context)
+
+        def read(name):
+            return self._station.GetOutputPort(name).Eval(context)
+
+        query = read("geometry_query")
+        # Copies: what it returns changes as time goes on.
+        X_WF = [
+            RigidTransform(query.GetPoseInWorld(f)) for f in self._frame_ids
+        ]
+        return Look(
+            gripper_closed=bool(read("gripper_closed")[0] > 0.5),
+            placed=int(read("products_placed")[0]),
+            X_WG=X_WF[0],
+            X_WP=X_WF[1:],
+            reason=self._reason.Eval(
+                self._monitor.GetMyContextFromRoot(root_context)
+            ),
+        )
+
+
+@functools.cache
+def finish_scenario(name="Default", text=""):
+    """Runs to the end; returns scenario, samples and a Look per step."""
+    scenario = load_scenario(name=name, text=text)
+    workcell = make_workcell(scenario)
+    looker = Looker(workcell, scenario.program.products)
+    run = Run(workcell=workcell, scenario=scenario)
+    looks = []
+    finished = False
+    while not finished:
+        finished = run.advance().finished
+        looks.append(looker.look(run.context))
+    return scenario, run.make_samples(), looks
+
+
 @functools.cache
 def run_scenario(name="Default", text=""):
     """Runs a scenario to its end; returns its samples and its summary."""
-    scenario = load_scenario(name=name, text=text)
-    run = Run(workcell=make_workcell(scenario), scenario=scenario)
-    while not run.advance().finished:
-        pass
-    samples = run.make_samples()
+    scenario, samples, _ = finish_scenario(name, text)
     return samples, calc_summary(samples, products=scenario.program.products)
 
 
 @pytest.fixture(scope="session")
 def run():
     return run_scenario
+
+
+@pytest.fixture(scope="session")
+def looks():
+    """Returns what was seen of a run, every 0.2 s."""
+    return lambda name="Default", text="": finish_scenario(name, text)[2]

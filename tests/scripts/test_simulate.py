@@ -296,10 +296,6 @@ BAD_INPUT = {
         _text("{program: {pick_center: [0.0, -3.0, 0.7]}}"),
         "out of the robot's reach",
     ),
-    "ticks_disagree": (
-        _text("{control_period: 0.002}"),
-        "program.period: 0.008 must equal control_period",
-    ),
     "time_step_does_not_fit": (
         _text("{robot: {time_step: 0.003}}"),
         "robot.time_step: control_period (0.008) must be a multiple",

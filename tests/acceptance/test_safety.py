@@ -1,0 +1,368 @@
+"""What a safety engineer would ask before standing next to the robot."""
+
+import itertools
+
+from bvh_writer import write_bvh
+import numpy as np
+import pytest
+
+from tofssm_drake.diagrams.scenario import load_scenario
+from tofssm_drake.messages import RINGS, RingHealth, RobotState
+
+TICK = 0.008
+
+CONFIGURATIONS = ("vo", "vr", "sm")
+
+
+def calc_time_in(is_in):
+    """Returns for how long a condition has held at each row, s.
+
+    A row's speed fraction is the answer to the state of the same row: both
+    stand from the tick before.
+    """
+    held = np.zeros(len(is_in))
+    for i in range(1, len(is_in)):
+        held[i] = held[i - 1] + TICK if is_in[i] else 0.0
+    return held
+
+
+def calc_deviation(q, s, q_nominal, s_nominal, *, window=12):
+    """Largest joint distance to a path given as points, row by row, rad.
+
+    Args:
+        q: (n, 6) joints that were measured.
+        s: (n,) how far along the path that should have been, s.
+        q_nominal: (k, 6) points of the path, joined by straight lines.
+        s_nominal: (k,) the same for them.
+        window: pieces to each side in which the nearest one is looked for.
+    """
+    middle = np.searchsorted(s_nominal, s)
+    nearest = np.full(len(q), np.inf)
+    for offset in range(-window, window):
+        i = np.clip(middle + offset, 0, len(q_nominal) - 2)
+        a, b = q_nominal[i], q_nominal[i + 1]
+        ab = b - a
+        length = np.maximum((ab**2).sum(axis=1), 1e-18)
+        part = np.clip(((q - a) * ab).sum(axis=1) / length, 0.0, 1.0)
+        away = np.abs(q - a - part[:, None] * ab).max(axis=1)
+        nearest = np.minimum(nearest, away)
+    return nearest
+
+
+def get_joints(samples):
+    return np.stack([samples[f"q_{i}"] for i in range(6)], axis=1)
+
+
+def get_joint_speeds(samples):
+    return np.stack([samples[f"qd_{i}"] for i in range(6)], axis=1)
+
+
+@pytest.fixture(params=CONFIGURATIONS)
+def text(request):
+    return f"{{ssm: {{configuration: {request.param}}}}}"
+
+
+@pytest.fixture
+def samples(run, text):
+    """The whole default run of each configuration of the law."""
+    return run(text=text)[0]
+
+
+class TestWholeRun:
+    def test_nothing_moves_before_every_ring_has_measured(self, samples):
+        waits = (samples.ring("sequence") < 0).any(axis=1)
+        assert waits[0]
+        assert not waits[-1]
+        assert (samples["robot_state"][waits] == RobotState.STOP).all()
+        assert (samples["speed_fraction"][waits] == 0.0).all()
+        assert np.abs(get_joint_speeds(samples)[waits]).max() < 1e-6
+        # Measured distances are not known then, rather than clear.
+        for ring in RINGS:
+            unknown = np.isnan(samples[f"{ring}_measured_distance"])
+            np.testing.assert_array_equal(
+                unknown, samples[f"{ring}_sequence"] < 0
+            )
+
+    def test_speed_obeys_the_state(self, samples):
+        rho = samples["speed_fraction"]
+        psi = samples["robot_state"]
+        assert rho.min() == 0.0
+        assert rho.max() == 1.0
+        stopped = calc_time_in(psi == RobotState.STOP)
+        slow = calc_time_in(psi <= RobotState.REDUCED)
+        assert (stopped >= 0.45).any()
+        assert (slow >= 0.3).any()
+        assert (rho[stopped >= 0.45] == 0.0).all()
+        assert (rho[slow >= 0.3] <= 0.5 + 1e-9).all()
+
+    def test_it_never_speeds_up_while_it_should_slow_down(self, samples):
+        rho = samples["speed_fraction"]
+        psi = samples["robot_state"][1:]
+        rise = np.diff(rho)
+        assert rise[psi == RobotState.STOP].max() <= 1e-9
+        fast = (psi == RobotState.REDUCED) & (rho[:-1] >= 0.5)
+        assert rise[fast].max() <= 1e-9
+
+    def test_the_arm_stands_when_the_speed_fraction_is_0(self, samples):
+        standing = calc_time_in(samples["speed_fraction"] == 0.0)
+        speed = samples["tcp_speed"][standing >= 0.2]
+        assert len(speed) > 100
+        assert speed.max() < 0.01
+        joint_speed = get_joint_speeds(samples)[standing >= 0.2]
+        assert np.abs(joint_speed).max() < 0.01
+
+    def test_braking_takes_no_longer_than_the_law_assumes(self, samples):
+        """T_stop is 0.4 s; two ticks pass until the command is there."""
+        psi = samples["robot_state"]
+        starts = np.flatnonzero((psi[:-1] != 0) & (psi[1:] == 0)) + 1
+        speed = samples["tcp_speed"]
+        checked = 0
+        for start in starts:
+            end = start + round(0.416 / TICK)
+            if end < len(psi) and (psi[start:end] == 0).all():
+                assert speed[end] < 0.02 + 0.03 * speed[start]
+                way = speed[start:end].sum() * TICK
+                # T_stop / 2 at the speed then; it may speed up on its path.
+                assert way < 1.7 * 0.2 + 0.03
+                checked += 1
+        assert checked >= 3
+
+    def test_critical_index_stops_in_the_same_row(self, samples):
+        critical_rows = 0
+        for ring in RINGS:
+            critical = (
+                (samples[f"{ring}_sequence"] >= 0)
+                & (samples[f"{ring}_health"] == RingHealth.HEALTHY)
+                & (samples[f"{ring}_dsi_raw"] >= samples[f"{ring}_dsi_C"])
+            )
+            critical_rows += critical.sum()
+            assert (samples[f"{ring}_state"][critical] == 0).all()
+            assert (samples["robot_state"][critical] == 0).all()
+        assert critical_rows > 100
+
+    def test_measured_inside_the_critical_distance_stops(self, samples):
+        """The same in metres."""
+        for ring in RINGS:
+            inside = (
+                samples[f"{ring}_measured_distance"]
+                < samples[f"{ring}_d_C"] - 1e-9
+            ) & (samples[f"{ring}_sequence"] >= 0)
+            assert (samples["robot_state"][inside] == 0).all()
+
+    def test_the_lowest_ring_decides(self, samples):
+        np.testing.assert_array_equal(
+            samples["robot_state"], samples.ring("state").min(axis=1)
+        )
+
+    def test_a_ring_that_is_not_healthy_is_never_normal(self, samples):
+        health = samples.ring("health")
+        state = samples.ring("state")
+        assert (state[health == RingHealth.BLIND] <= 1).all()
+        assert (state[health == RingHealth.FAULTED] == 0).all()
+
+    def test_thresholds_are_safe(self, samples):
+        for ring in RINGS:
+            measured = samples[f"{ring}_sequence"] >= 0
+            d_C = samples[f"{ring}_d_C"][measured]
+            d_R = samples[f"{ring}_d_R"][measured]
+            assert (d_C >= 0.3 - 1e-9).all()
+            assert (d_R >= d_C - 1e-9).all()
+
+    def test_samples_are_fresh(self, samples):
+        """No row rests on a sample older than the law's reaction time."""
+        for ring in RINGS:
+            measured = samples[f"{ring}_sequence"] >= 0
+            age = (samples["t"] - samples[f"{ring}_sample_time"])[measured]
+            assert age.min() > 0.0
+            assert age.max() <= 0.1
+
+    def test_every_stop_has_a_reason_that_names_a_ring(self, samples):
+        reason = samples["reason"]
+        for state, word in ((0, "stop"), (1, "reduced"), (2, "normal")):
+            words = set(reason[samples["robot_state"] == state])
+            assert words
+            for text in words:
+                assert text.startswith(word)
+                assert state == 2 or any(ring in text for ring in RINGS)
+
+    def test_limits_of_the_joints(self, samples):
+        """Datasheet: 120 deg/s for base and shoulder, 180 deg/s others."""
+        speed = np.abs(get_joint_speeds(samples)).max(axis=0)
+        limit = np.deg2rad([120, 120, 180, 180, 180, 180])
+        assert (speed <= 1.01 * limit).all()
+        assert (np.abs(get_joints(samples)) <= 2 * np.pi).all()
+
+    def test_path_is_that_without_a_person(self, run, samples):
+        nominal, _ = run("NoHuman")
+
+        def calc_path_time(of):
+            return np.cumsum(of["speed_fraction"]) * TICK
+
+        deviation = calc_deviation(
+            get_joints(samples),
+            calc_path_time(samples),
+            get_joints(nominal),
+            calc_path_time(nominal),
+        )
+        # It did stand and slow down on the way.
+        assert len(samples) > 1.1 * len(nominal)
+        assert deviation.max() < 0.003
+        # The measure sees what is not on the path.
+        off = get_joints(samples) + np.array([0, 0.02, 0, 0, 0, 0])
+        assert (
+            calc_deviation(
+                off,
+                calc_path_time(samples),
+                get_joints(nominal),
+                calc_path_time(nominal),
+            ).max()
+            > 0.01
+        )
+
+
+class TestProducts:
+    def test_they_move_with_the_tool(self, looks):
+        seen = looks("NoHuman")
+        carried = {}
+        for look in seen:
+            for i, X_WP in enumerate(look.X_WP):
+                if look.gripper_closed and i == look.placed:
+                    X_GP = look.X_WG.inverse() @ X_WP
+                    carried.setdefault(i, []).append((X_GP, X_WP))
+        assert sorted(carried) == list(range(10))
+        for poses in carried.values():
+            first, _ = poses[0]
+            assert len(poses) >= 5
+            for X_GP, _ in poses:
+                assert X_GP.IsNearlyEqualTo(first, 1e-9)
+            p = np.array([X_WP.translation() for _, X_WP in poses])
+            assert np.ptp(p[:, 1]) > 1.0
+        # All sit in the gripper in the same way.
+        first = carried[0][0][0]
+        for poses in carried.values():
+            assert poses[0][0].IsNearlyEqualTo(first, 1e-9)
+
+    def test_the_others_rest(self, looks):
+        seen = looks("NoHuman")
+        for before, after in itertools.pairwise(seen):
+            for i, (X, Y) in enumerate(
+                zip(before.X_WP, after.X_WP, strict=True)
+            ):
+                if i < before.placed or i > after.placed:
+                    assert X.IsExactlyEqualTo(Y)
+
+    def test_nothing_jumps_when_the_gripper_closes_or_opens(self, looks):
+        seen = looks("NoHuman")
+        p = np.array([[X.translation() for X in look.X_WP] for look in seen])
+        # 0.2 s at 1.7 m/s, and the tool's way up and down.
+        assert np.linalg.norm(np.diff(p, axis=0), axis=2).max() < 0.4
+
+    def test_ten_lie_in_the_box_at_the_end(self, run, looks):
+        samples, _ = run("NoHuman")
+        last = looks("NoHuman")[-1]
+        assert last.placed == 10
+        assert samples["products_placed"][-1] == 10
+        assert not last.gripper_closed
+        (box,) = (
+            part["outline"]
+            for part in samples.metadata["plan"]["outlines"]
+            if part["label"] == "box"
+        )
+        low, high = np.min(box, axis=0), np.max(box, axis=0)
+        p = np.array([X.translation() for X in last.X_WP])
+        assert (p[:, :2] > low).all()
+        assert (p[:, :2] < high).all()
+        # Each has its own place.
+        gap = np.linalg.norm(p[:, None] - p[None], axis=2)
+        assert gap[~np.eye(10, dtype=bool)].min() > 0.05
+        # None was there at the beginning.
+        p = np.array([X.translation() for X in looks("NoHuman")[0].X_WP])
+        assert (p[:, 1] < low[1]).all()
+
+    def test_they_are_counted_one_by_one(self, run, text):
+        samples, _ = run(text=text)
+        steps = np.diff(samples["products_placed"])
+        assert set(steps) == {0, 1}
+        assert steps.sum() == 10
+
+
+@pytest.fixture(scope="module")
+def standing(run, tmp_path_factory):
+    """Runs with a person who stands still at a place."""
+    recording = write_bvh(tmp_path_factory.mktemp("bvh") / "walk.bvh")
+
+    def run_with(position, duration):
+        return run(
+            text=f"""
+simulation_duration: {duration}
+human: !BvhRecording
+  filename: {recording}
+  placement: in_place
+  position: {list(position)}
+  heading_deg: 180.0
+  end_time: 0.2
+"""
+        )
+
+    return run_with
+
+
+class TestPersonWhoStays:
+    def test_in_front_of_the_arm_keeps_it_stopped(self, standing):
+        samples, summary = standing((0.55, -0.5), 6.0)
+        assert summary["min_true_distance_m"] < 0.5
+        assert (samples["robot_state"] == RobotState.STOP).all()
+        assert (samples["speed_fraction"] == 0.0).all()
+        assert samples["tcp_speed"].max() < 1e-6
+        assert summary["products_placed"] == 0
+
+    def test_in_the_way_of_the_sweep_is_never_reached(self, standing):
+        samples, summary = standing((0.85, 0.0), 8.0)
+        assert summary["contact_while_moving_events"] == 0
+        assert summary["min_true_distance_m"] > 0.2
+        assert summary["products_placed"] == 0
+        assert samples["q_0"].max() < np.deg2rad(-20.0)
+
+
+class TestBrokenSensing:
+    @pytest.mark.parametrize(("index", "ring"), list(enumerate(RINGS)))
+    def test_a_ring_that_never_delivers(self, run, looks, index, ring):
+        phases = [0.0, 0.0, 0.0]
+        phases[index] = 9.9
+        text = f"{{simulation_duration: 1.0, ring_phases: {phases}}}"
+        samples, summary = run("NoHuman", text)
+        assert (samples["robot_state"] == RobotState.STOP).all()
+        assert (samples["speed_fraction"] == 0.0).all()
+        assert (samples[f"{ring}_sequence"] == -1).all()
+        others = [name for name in RINGS if name != ring]
+        for other in others:
+            assert samples[f"{other}_state"][-1] == RobotState.NORMAL
+        last = looks("NoHuman", text)[-1]
+        assert last.reason == f"stop: {ring} has no sample yet"
+        assert summary["products_placed"] == 0
+
+    def test_samples_that_come_too_late(self, run):
+        samples, _ = run(
+            "NoHuman", "{simulation_duration: 1.5, rings: {readout_time: 0.3}}"
+        )
+        assert (samples[f"{RINGS[0]}_sequence"] >= 0).any()
+        assert (samples["robot_state"] == RobotState.STOP).all()
+        assert (samples["speed_fraction"] == 0.0).all()
+        assert samples["reason"][-1].startswith("stop: base ")
+
+    def test_another_way_to_be_blind_is_no_licence(self, run):
+        """Sensors that lose every second sample never free the robot more
+        than good ones do, and most of the time they stop it."""
+        text = "{simulation_duration: 6.0, rings: {sensor: {dropout: 0.5}}}"
+        samples, _ = run("NoHuman", text)
+        faulted = samples.ring("health") == RingHealth.FAULTED
+        assert faulted.any()
+        assert (samples["robot_state"][faulted.any(axis=1)] == 0).all()
+
+
+def test_the_same_law_in_every_run():
+    """The runs above differ in nothing but the configuration."""
+    for name in CONFIGURATIONS:
+        scenario = load_scenario(text=f"{{ssm: {{configuration: {name}}}}}")
+        scenario.ssm.configuration = "vo"
+        assert scenario == load_scenario()
