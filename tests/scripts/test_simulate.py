@@ -199,7 +199,7 @@ class TestOptions:
     def test_diagram_is_drawn(self, full_run):
         dot = (full_run / "cell.dot").read_text()
         assert dot.startswith("digraph")
-        for name in ("station", "monitor", "ground_truth", "recorder"):
+        for name in ("station", "monitor", "recorder"):
             assert name in dot
 
     def test_sensors_per_ring(self, full_run):
