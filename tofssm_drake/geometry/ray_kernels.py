@@ -313,6 +313,7 @@ def cast_bundles(X_WF, scene, bundles, active, which, fan, cones):
         scene: See the module.
         bundles: See the columns above, shape (m, 14).
         active: Whether bundle i is cast against shape s, bool, (m, n).
+        which: Whether bundle i is cast at all, bool, (m,).
         fan: Unit directions in S, sorted into groups, and the place of each
             ray in the results, shape (k, 4).
         cones: Axis, cosine and sine of half the opening angle of a cone
