@@ -58,6 +58,17 @@ class _Frozen:
     def __deepcopy__(self, memo):
         return self
 
+    @classmethod
+    def of_read_only(cls, **fields):
+        """Makes a message of all of its fields, whose arrays are read-only.
+
+        The same as the constructor, but does not look at each of them. For
+        views of one array that was made read-only.
+        """
+        message = object.__new__(cls)
+        vars(message).update(fields)
+        return message
+
 
 @dc.dataclass(frozen=True, eq=False, kw_only=True)
 class RingScan(_Frozen):
@@ -87,9 +98,10 @@ class MaskedScan(_Frozen):
     )
     """`Reading` of each sensor, shape (n,)."""
     self_nearest: np.ndarray = dc.field(default_factory=lambda: np.empty(0))
-    """Nearest hit of each sensor's rays on the twin, m, (n,); inf: none."""
+    """Nearest hit of each sensor's rays on the twin, m, (n,); inf: none, or
+    not looked for, since the sample is no distance."""
     self_farthest: np.ndarray = dc.field(default_factory=lambda: np.empty(0))
-    """Farthest such hit, m, (n,); -inf: none."""
+    """Farthest such hit, m, (n,); -inf where the nearest is inf."""
     previous_distance: np.ndarray = dc.field(
         default_factory=lambda: np.empty(0)
     )

@@ -292,6 +292,25 @@ class TestBundles(unittest.TestCase):
             np.testing.assert_array_equal(actual[0], expected[0])
             np.testing.assert_array_equal(actual[1], expected[1])
 
+    def test_some_of_the_bundles(self):
+        bundles, _ = self.make(40, max_range=2.0)
+        X_WF = self.dut.poses_from_query_object(self.scene.query_object())
+        every, every_index = self.dut.cast_bundles(bundles, X_WF)
+        which = self.rng.random(40) < 0.5
+        frozen = which.copy()
+        frozen.flags.writeable = False
+        for chosen in (which, frozen, np.repeat(which, 2)[::2]):
+            distance, index = self.dut.cast_bundles(bundles, X_WF, chosen)
+            np.testing.assert_array_equal(distance[which], every[which])
+            np.testing.assert_array_equal(index[which], every_index[which])
+            self.assertTrue((distance[~which] == np.inf).all())
+            self.assertTrue((index[~which] == -1).all())
+        # There was something to leave out.
+        self.assertTrue(np.isfinite(every[~which]).any())
+        for bad in (which[:-1], which.astype(int)):
+            with self.assertRaisesRegex(ValueError, "which"):
+                self.dut.cast_bundles(bundles, X_WF, bad)
+
     def test_poses_must_fit(self):
         bundles, _ = self.make(2, max_range=1.0)
         X_WF = self.dut.poses_from_query_object(self.scene.query_object())

@@ -74,10 +74,12 @@ def make_cell(config, n=8, names=("base",)):
     return dict(caster=caster, bundles=bundles, twin=SphereTwin())
 
 
-def mask_scan(config, *, table, cell, rows=slice(0, 8), **kwargs):
-    """Masks one scan with a view of its own."""
-    view = mut.TwinView(enabled=config.enabled, table=table, **cell)
-    return mut.mask_scan(config, view=view, rows=rows, **kwargs)
+def mask_scan(config, *, scan, before, cell, **kwargs):
+    """Masks the scan of one ring."""
+    (masked_scan,) = mut.mask_scans(
+        config, scans=[scan], before=[before], **cell, **kwargs
+    )
+    return masked_scan
 
 
 def make_scan(distance, status=0, *, sequence=0, time=1.0, n=8):
@@ -316,7 +318,12 @@ class TestMaskScan(unittest.TestCase):
         cell = make_cell(config)
         times = 1.0 + 0.008 * np.arange(5)
         scan = make_scan(0.5)
-        scan = dc.replace(scan, sensor_time=np.array([1.0, 1.01] * 4))
+        scan = dc.replace(
+            scan,
+            sensor_time=np.array([1.0, 1.01] * 4),
+            distance=np.full(8, 0.5),
+            status=np.array([0, 0, 2, 2, 2, 2, 2, 2], dtype=np.uint8),
+        )
         dut = mask_scan(
             config,
             scan=scan,
@@ -327,8 +334,12 @@ class TestMaskScan(unittest.TestCase):
         )
         np.testing.assert_allclose(dut.position[0::2, 0], 0.5)
         np.testing.assert_allclose(dut.position[1::2, 0], 0.515)
-        self.assertEqual(len(cell["twin"].asked), 2)
+        # At both times, and then a little off that of the second sensor.
+        asked = [q[0] for q, _, _ in cell["twin"].asked]
+        np.testing.assert_allclose(asked, [0.5, 0.515, 0.509, 0.521])
         self.assertAlmostEqual(dut.self_nearest[0], 0.5, delta=1e-12)
+        self.assertEqual(dut.reading[0], MASKED)
+        self.assertEqual(dut.reading[1], VALID)
 
     def test_previous_sample_of_each_sensor(self):
         first = self.mask(make_scan(0.8, sequence=0, time=1.0))

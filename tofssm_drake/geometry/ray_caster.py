@@ -58,6 +58,7 @@ class RayBundles:
     """Whether a bundle is cast against a geometry, shape (m, geometries)."""
     _caster: "RayCaster" = dc.field(repr=False)
     _packed: np.ndarray = dc.field(repr=False)
+    _all: np.ndarray = dc.field(repr=False)
     _fan: np.ndarray = dc.field(repr=False)
     _cones: np.ndarray = dc.field(repr=False)
 
@@ -317,19 +318,24 @@ class RayCaster:
             _packed=np.column_stack(
                 [X_FS.reshape(m, 12), max_range, frame_index]
             ),
+            _all=np.ones(m, dtype=bool),
             _fan=np.column_stack([fan_S[order], order]),
             _cones=cones,
         )
         for field in dc.fields(bundles):
             value = getattr(bundles, field.name)
-            if isinstance(value, np.ndarray):
+            # Writable as a caller's: one and the same compiled kernel.
+            if isinstance(value, np.ndarray) and field.name != "_all":
                 value.flags.writeable = False
         return bundles
 
     def cast_bundles(
-        self, bundles: RayBundles, X_WF: np.ndarray
+        self,
+        bundles: RayBundles,
+        X_WF: np.ndarray,
+        which: np.ndarray | None = None,
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Casts all rays of the bundles.
+        """Casts all rays of the bundles, or of some of them.
 
         Shapes that are clear of the cone around a bundle's rays are left out
         as a whole, so a query costs what the bundles can see.
@@ -338,10 +344,12 @@ class RayCaster:
             bundles: Made by this caster.
             X_WF: Poses of the frames, shape (num_frames, 3, 4); see
                 `poses_from_query_object`.
+            which: Whether a bundle is cast, bool, shape (m,); None: all are.
 
         Returns:
             (distance, geometry_index): both of shape (m, k); inf and -1 where
-            nothing is within range, else the index into `geometry_ids`.
+            nothing is within range, or the bundle is not cast, else the index
+            into `geometry_ids`.
 
         Raises:
             ValueError: If the bundles or poses do not fit, or a pose is not
@@ -349,11 +357,22 @@ class RayCaster:
         """
         X_WF = self._check_poses(X_WF)
         self._check_bundles(bundles)
+        if which is None:
+            which = bundles._all
+        elif which.shape != (bundles.num_bundles,) or which.dtype != bool:
+            raise ValueError(
+                f"which: {which.dtype} of shape {which.shape} is not bool of"
+                f" shape ({bundles.num_bundles},)"
+            )
+        elif not (which.flags.c_contiguous and which.flags.writeable):
+            # Another layout would be another kernel to compile.
+            which = which.copy()
         status, distance, index = ray_kernels.cast_bundles(
             X_WF,
             self._scene,
             bundles._packed,
             bundles.active,
+            which,
             bundles._fan,
             bundles._cones,
         )

@@ -305,7 +305,7 @@ def _pose_bundle(shapes, s, X_WF, X_WS, X_WG, p_GS, R_GS, q):
 
 
 @njit(cache=True, error_model="numpy")
-def cast_bundles(X_WF, scene, bundles, active, fan, cones):
+def cast_bundles(X_WF, scene, bundles, active, which, fan, cones):
     """Casts m bundles of k rays each; see RayCaster.cast_bundles.
 
     Args:
@@ -313,6 +313,7 @@ def cast_bundles(X_WF, scene, bundles, active, fan, cones):
         scene: See the module.
         bundles: See the columns above, shape (m, 14).
         active: Whether bundle i is cast against shape s, bool, (m, n).
+        which: Whether bundle i is cast at all, bool, (m,).
         fan: Unit directions in S, sorted into groups, and the place of each
             ray in the results, shape (k, 4).
         cones: Axis, cosine and sine of half the opening angle of a cone
@@ -347,6 +348,10 @@ def cast_bundles(X_WF, scene, bundles, active, fan, cones):
     R_GS = np.empty((n, 3, 3))
     stack = np.empty((2, STACK))
     for i in range(m):
+        if not which[i]:
+            distance[i] = np.inf
+            index[i] = -1
+            continue
         _compose(X_WF[int(bundles[i, BUNDLE_FRAME])], bundles[i], X_WS)
         reach = bundles[i, BUNDLE_RANGE]
         ox, oy, oz = X_WS[0, 3], X_WS[1, 3], X_WS[2, 3]

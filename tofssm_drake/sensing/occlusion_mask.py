@@ -213,343 +213,355 @@ def interpolate_reports(table, time):
     return result
 
 
-@njit(cache=True)
-def inspect_scan(sensor_time, status):
-    """Tells whether all sensors have one time, and whether any has no data.
-
-    Args:
-        sensor_time: (n,) s.
-        status: (n,) range status.
-    """
-    one_time = math.isfinite(sensor_time[0])
-    some_held = False
-    for i in range(sensor_time.shape[0]):
-        one_time = one_time and sensor_time[i] == sensor_time[0]
-        some_held = some_held or status[i] == STATUS_NO_NEW_DATA
-    return one_time, some_held
+# Rows of the table of all rings' samples.
+_SENSOR_TIME, _DISTANCE, _STATUS, _RECKONED = 0, 1, 2, 3
+_PREVIOUS_DISTANCE, _PREVIOUS_TIME = 4, 5
+_NEAREST, _FARTHEST, _MOVES = 6, 7, 8
+_ROWS = 9
 
 
-def hold_readings(scan: RingScan, before: RingScan) -> RingScan:
-    """Puts the sample before in place of "no new data".
-
-    A ring may fire its sensors in turns, or a sensor may take longer; its
-    last sample then stands, with its own time, until it is too old.
-
-    Args:
-        scan: the new scan.
-        before: what was made of the scan before it.
-    """
-    held = scan.status == STATUS_NO_NEW_DATA
-    if before.status.shape != scan.status.shape:
-        return scan
-    return dc.replace(
-        scan,
-        sensor_time=np.where(held, before.sensor_time, scan.sensor_time),
-        distance=np.where(held, before.distance, scan.distance),
-        status=np.where(held, before.status, scan.status),
-    )
+@functools.cache
+def _make_no_samples(num_sensors):
+    """Returns the table of samples without any, (9, num_sensors)."""
+    samples = np.zeros((_ROWS, num_sensors))
+    samples[_SENSOR_TIME] = -np.inf
+    samples[_PREVIOUS_DISTANCE] = np.nan
+    samples[_PREVIOUS_TIME] = -np.inf
+    samples[_NEAREST] = np.inf
+    samples[_FARTHEST] = -np.inf
+    return samples
 
 
 @njit(cache=True)
-def pick_previous(
+def _hold_samples(
+    samples,
+    first,
     sensor_time,
+    distance,
+    status,
     before_time,
     before_distance,
+    before_status,
     before_reading,
     before_previous_distance,
     before_previous_time,
 ):
-    """Returns each sensor's sample before this one.
+    """Writes a ring's new samples and those before them.
+
+    The sample before stands in place of "no new data": a ring may fire its
+    sensors in turns, or a sensor may take longer; its last sample then
+    stands, with its own time, until it is too old.
 
     Args:
+        samples: the table, (9, N).
+        first: the ring's first sensor in the table.
         sensor_time: of the new samples, s, (n,).
-        before_time: of the samples in the scan before, s, (n,).
+        distance: those, m, (n,).
+        status: of those, (n,).
+        before_time: of the samples in the scan before, s, (n,); all empty
+            if there was none.
         before_distance: those, m, (n,).
+        before_status: of those, (n,).
         before_reading: what they meant, (n,).
-        before_previous_distance: the samples before those, m, (n,).
+        before_previous_distance: the samples before those, m, (n,); NaN where
+            it was not VALID.
         before_previous_time: when they were, s, (n,).
 
     Returns:
-        Distance, m, (n,), NaN where it was not VALID; its time, s, (n,).
+        Whether a sample before stands.
     """
-    n = sensor_time.shape[0]
-    distance = np.full(n, np.nan)
-    time = np.empty(n)
-    for i in range(n):
-        if sensor_time[i] == before_time[i]:
+    some_held = False
+    for j in range(sensor_time.shape[0]):
+        i = first + j
+        samples[_SENSOR_TIME, i] = sensor_time[j]
+        samples[_DISTANCE, i] = distance[j]
+        samples[_STATUS, i] = status[j]
+        if before_reading.shape[0] == 0:
+            continue
+        if status[j] == STATUS_NO_NEW_DATA:
+            some_held = True
+            samples[_SENSOR_TIME, i] = before_time[j]
+            samples[_DISTANCE, i] = before_distance[j]
+            samples[_STATUS, i] = before_status[j]
+        if samples[_SENSOR_TIME, i] == before_time[j]:
             # A sample that is held has still the same one before it.
-            distance[i] = before_previous_distance[i]
-            time[i] = before_previous_time[i]
+            samples[_PREVIOUS_DISTANCE, i] = before_previous_distance[j]
+            samples[_PREVIOUS_TIME, i] = before_previous_time[j]
         else:
-            if before_reading[i] == _VALID:
-                distance[i] = before_distance[i]
-            time[i] = before_time[i]
-    return distance, time
-
-
-class TwinView:
-    """What all sensors would see of the robot itself and its cell.
-
-    Rings that sampled at the same time share one look.
-    """
-
-    def __init__(
-        self,
-        *,
-        enabled: bool,
-        caster: RayCaster,
-        bundles: RayBundles,
-        twin: Twin,
-        table: np.ndarray,
-    ):
-        """Constructs the view.
-
-        Args:
-            enabled: False: nothing is ever seen.
-            caster: of the twin.
-            bundles: the rays of all sensors, see `make_mask_bundles`.
-            twin: gives the poses that the caster needs.
-            table: the robot's reports, see `make_robot_history`.
-        """
-        self.num_sensors = bundles.num_bundles
-        self._enabled = enabled
-        self._caster = caster
-        self._bundles = bundles
-        self._twin = twin
-        self._table = table
-        self._looks = {}
-
-    def look(self, time: float) -> tuple[np.ndarray, np.ndarray]:
-        """Casts all rays at the robot as it was at a time.
-
-        Args:
-            time: s.
-
-        Returns:
-            Distances along the rays, m, (sensors, k), and the robot's report
-            for that time, (15,).
-        """
-        if time not in self._looks:
-            report = interpolate_reports(self._table, time)
-            if self._enabled:
-                self_distance, _ = self._caster.cast_bundles(
-                    self._bundles,
-                    self._twin.calc(
-                        report[_POSITION],
-                        report[_GRIPPER_CLOSED],
-                        report[_PRODUCTS_PLACED],
-                    ),
-                )
-            else:
-                self_distance = np.full((self.num_sensors, 1), np.inf)
-            self._looks[time] = self_distance, report
-        return self._looks[time]
-
-
-def mask_scan(
-    config: OcclusionMaskConfig,
-    *,
-    scan: RingScan,
-    before: MaskedScan,
-    time: float,
-    view: TwinView,
-    rows: slice,
-) -> MaskedScan:
-    """Tells what each reading of a new scan means.
-
-    Looks at the twin as the robot was at the sample's own time, and compares
-    (paper, Self Occlusion Detection; table in
-    `tofssm_drake.sensing.readings`). What would be valid is compared again
-    with the robot as it was a little earlier and later.
-
-    Args:
-        config: settings.
-        scan: the new scan of n sensors.
-        before: the result for the scan before it.
-        time: now, s.
-        view: what all sensors would see of the robot itself.
-        rows: the ring's n sensors among those of the view.
-
-    Returns:
-        The masked scan. Its `scan` is as the monitor reckons with it: 0 m for
-        a target nearer than can be measured, and the sample before where
-        there is no new data.
-    """
-    n = len(scan.status)
-    if n != rows.stop - rows.start:
-        raise ValueError(
-            f"scan of {n} sensors, but the mask has {rows.stop - rows.start}"
-        )
-    one_time, some_held = inspect_scan(scan.sensor_time, scan.status)
-    if some_held:
-        scan = hold_readings(scan, before.scan)
-        one_time = False
-    if before.reading.shape != (n,):
-        before = _make_nothing_before(n)
-
-    def look(shift):
-        return _look_at_own_times(view, rows, scan.sensor_time, one_time, shift)
-
-    def interpret(self_distance):
-        return _interpret(
-            scan.distance,
-            scan.status,
-            scan.sensor_time,
-            self_distance,
-            reports,
-            before.scan.sensor_time,
-            before.scan.distance,
-            before.reading,
-            before.previous_distance,
-            before.previous_time,
-            time,
-            config.tolerance,
-            config.min_range,
-            config.max_range,
-            config.max_age,
-        )
-
-    self_distance, reports = look(0.0)
-    result = interpret(self_distance)
-    if config.enabled and config.time_margin > 0.0 and result[-1]:
-        # A wider look can only turn valid readings into masked ones, so it is
-        # left for when there are any.
-        early, _ = look(-config.time_margin)
-        late, _ = look(config.time_margin)
-        result = interpret(np.hstack([self_distance, early, late]))
-    (
-        reading,
-        reckoned,
-        is_other,
-        self_nearest,
-        self_farthest,
-        previous_distance,
-        previous_time,
-        position,
-        velocity,
-        _,
-    ) = result
-    if is_other:
-        scan = dc.replace(scan, distance=reckoned)
-    return MaskedScan(
-        scan=scan,
-        reading=reading,
-        self_nearest=self_nearest,
-        self_farthest=self_farthest,
-        previous_distance=previous_distance,
-        previous_time=previous_time,
-        position=position,
-        velocity=velocity,
-    )
-
-
-@functools.cache
-def _make_nothing_before(n):
-    """Returns the masked scan before the first of n sensors."""
-    nothing = np.full(n, np.nan)
-    return MaskedScan(
-        scan=RingScan(sensor_time=np.full(n, -np.inf), distance=nothing),
-        reading=np.full(n, Reading.FAULTED, dtype=np.uint8),
-        previous_distance=nothing,
-        previous_time=np.full(n, -np.inf),
-    )
-
-
-def _look_at_own_times(view, rows, sensor_time, one_time, shift):
-    """Returns what each sensor would see at its own time, shifted.
-
-    Returns:
-        Distances along the rays, m, (n, k), and the robot's report for each
-        sensor's time, (n, 15); one row if it is the same for all.
-    """
-    if one_time:
-        self_distance, report = view.look(sensor_time[0] + shift)
-        return self_distance[rows], report[None]
-
-    n = len(sensor_time)
-    reports = np.zeros((n, _COLUMNS))
-    self_distance = None
-    todo = np.isfinite(sensor_time)
-    while todo.any():
-        time = sensor_time[np.argmax(todo)]
-        now = sensor_time == time
-        todo &= ~now
-        seen, reports[now] = view.look(time + shift)
-        if self_distance is None:
-            self_distance = np.full((n, seen.shape[1]), np.inf)
-        self_distance[now] = seen[rows][now]
-    if self_distance is None:
-        self_distance = np.full((n, 1), np.inf)
-    return self_distance, reports
+            if before_reading[j] == _VALID:
+                samples[_PREVIOUS_DISTANCE, i] = before_distance[j]
+            samples[_PREVIOUS_TIME, i] = before_time[j]
+    return some_held
 
 
 @njit(cache=True)
-def _interpret(
-    distance,
-    status,
-    sensor_time,
-    self_distance,
-    reports,
-    before_time,
-    before_distance,
-    before_reading,
-    before_previous_distance,
-    before_previous_time,
+def _report_motion(samples, table, n, motion):
+    """Writes the robot's motion at each sample's time.
+
+    Args:
+        samples: of rings of n sensors, (9, N); tells where the robot moves.
+        table: the robot's reports, see `make_robot_history`.
+        n: sensors of a ring.
+        motion: result, measured joints, rad, and their speeds, rad/s, both
+            (N, 6); (2, N, 6). 0 where the time is not finite.
+    """
+    for first in range(0, samples.shape[1], n):
+        speed = 0.0
+        for i in range(first, first + n):
+            time = samples[_SENSOR_TIME, i]
+            if i > first and time == samples[_SENSOR_TIME, i - 1]:
+                motion[0, i] = motion[0, i - 1]
+                motion[1, i] = motion[1, i - 1]
+                continue
+            motion[:, i] = 0.0
+            if math.isfinite(time):
+                report = interpolate_reports(table, time)
+                motion[0, i] = report[1:7]
+                motion[1, i] = report[7:13]
+                for v in motion[1, i]:
+                    speed = max(speed, abs(v))
+        samples[_MOVES, first : first + n] = speed > _STILL
+
+
+@njit(cache=True)
+def _classify(
+    samples,
     time,
     tolerance,
     min_range,
     max_range,
     max_age,
+    wider,
+    reading,
+    unsettled,
 ):
-    """Does all the arithmetic of a scan at once: calls cost more than it."""
-    n = distance.shape[0]
-    self_nearest, self_farthest = calc_self_interval(self_distance)
-    reading, reckoned = classify_readings(
-        distance,
-        status,
-        time - sensor_time,
-        self_nearest,
-        self_farthest,
+    """Tells what each sample means by what was seen of the robot so far.
+
+    Args:
+        samples: the table, (9, N); gets the distance to reckon with.
+        time: now, s.
+        tolerance: see `classify_readings`, and so on.
+        min_range: likewise.
+        max_range: likewise.
+        max_age: likewise.
+        wider: whether only a look at another time can tell more, which it
+            can where the robot moves.
+        reading: result, (N,).
+        unsettled: result, whether another look at the robot can change the
+            reading, (N,): only VALID ones can become MASKED.
+
+    Returns:
+        Whether any is unsettled.
+    """
+    result, samples[_RECKONED] = classify_readings(
+        samples[_DISTANCE],
+        samples[_STATUS],
+        time - samples[_SENSOR_TIME],
+        samples[_NEAREST],
+        samples[_FARTHEST],
         tolerance,
         min_range,
         max_range,
         max_age,
     )
-    is_other = False
-    some_valid = False
-    speed = 0.0
-    position = np.empty((n, 6))
-    velocity = np.empty((n, 6))
-    last_report = reports.shape[0] - 1
-    for i in range(n):
-        if reckoned[i] != distance[i]:
-            is_other = True
-        if reading[i] == _VALID:
-            some_valid = True
-        report = reports[min(i, last_report)]
-        for j in range(6):
-            position[i, j] = report[1 + j]
-            velocity[i, j] = report[7 + j]
-            speed = max(speed, abs(velocity[i, j]))
-    previous_distance, previous_time = pick_previous(
-        sensor_time,
-        before_time,
-        before_distance,
-        before_reading,
-        before_previous_distance,
-        before_previous_time,
+    reading[:] = result
+    some = False
+    for i in range(reading.shape[0]):
+        unsettled[i] = (
+            reading[i] == _VALID
+            and math.isfinite(samples[_SENSOR_TIME, i])
+            and (not wider or samples[_MOVES, i] > 0.0)
+        )
+        some = some or unsettled[i]
+    return some
+
+
+@njit(cache=True)
+def _take_one_time(samples, rest, which):
+    """Takes the sensors that sampled at one time out of the rest.
+
+    Args:
+        samples: the table, (9, N).
+        rest: the sensors to choose from, (N,); the chosen ones are taken out.
+        which: result, those that are chosen, (N,).
+
+    Returns:
+        Their time, s, and whether there is still a rest.
+    """
+    time = np.nan
+    more = False
+    for i in range(rest.shape[0]):
+        which[i] = False
+        if rest[i]:
+            if math.isnan(time):
+                time = samples[_SENSOR_TIME, i]
+            which[i] = samples[_SENSOR_TIME, i] == time
+            rest[i] = not which[i]
+            more = more or rest[i]
+    return time, more
+
+
+@njit(cache=True)
+def _widen_interval(samples, which, self_distance):
+    """Lets the self-hits of some sensors count, (N, k) m, inf for none."""
+    nearest, farthest = calc_self_interval(self_distance)
+    for i in range(which.shape[0]):
+        if which[i]:
+            samples[_NEAREST, i] = min(samples[_NEAREST, i], nearest[i])
+            samples[_FARTHEST, i] = max(samples[_FARTHEST, i], farthest[i])
+
+
+def mask_scans(
+    config: OcclusionMaskConfig,
+    *,
+    scans: Sequence[RingScan | None],
+    before: Sequence[MaskedScan],
+    time: float,
+    table: np.ndarray,
+    caster: RayCaster,
+    bundles: RayBundles,
+    twin: Twin,
+) -> tuple[MaskedScan, ...]:
+    """Tells what each reading of new scans means.
+
+    Casts each sensor's rays on the twin, posed as the robot was at the
+    sample's own time, and compares (paper, Self Occlusion Detection; table
+    in `tofssm_drake.sensing.readings`). What would be valid is compared again
+    with the robot as it was a little earlier and later. Only sensors whose
+    reading can still change are looked at, rings that sampled at the same
+    time in one go.
+
+    Args:
+        config: settings.
+        scans: each ring's new scan of n sensors; None where there is none.
+        before: each ring's result for the scan before.
+        time: now, s.
+        table: the robot's reports, see `make_robot_history`.
+        caster: of the twin.
+        bundles: the rays of all rings' sensors, see `make_mask_bundles`.
+        twin: gives the poses that the caster needs.
+
+    Returns:
+        Each ring's masked scan, that before where there is no new one. Its
+        `scan` is as the monitor reckons with it: 0 m for a target nearer than
+        can be measured, and the sample before where there is no new data.
+    """
+    num_sensors = bundles.num_bundles
+    n = num_sensors // len(scans)
+    samples = _make_no_samples(num_sensors).copy()
+    held = [
+        scan is not None and _load_samples(samples, n * i, n, scan, was)
+        for i, (scan, was) in enumerate(zip(scans, before, strict=True))
+    ]
+    motion = np.empty((2, num_sensors, 6))
+    _report_motion(samples, table, n, motion)
+    reading = np.empty(num_sensors, dtype=np.uint8)
+    unsettled = np.empty(num_sensors, dtype=bool)
+    which = np.empty(num_sensors, dtype=bool)
+
+    def classify(wider):
+        return _classify(
+            samples,
+            time,
+            config.tolerance,
+            config.min_range,
+            config.max_range,
+            config.max_age,
+            wider,
+            reading,
+            unsettled,
+        )
+
+    def look(shift):
+        more = True
+        while more:
+            sensor_time, more = _take_one_time(samples, unsettled, which)
+            report = interpolate_reports(table, sensor_time + shift)
+            X_WF = twin.calc(
+                report[_POSITION],
+                report[_GRIPPER_CLOSED],
+                report[_PRODUCTS_PLACED],
+            )
+            self_distance, _ = caster.cast_bundles(bundles, X_WF, which)
+            _widen_interval(samples, which, self_distance)
+
+    if classify(False) and config.enabled:
+        shifts = (0.0, -config.time_margin, config.time_margin)
+        for shift in shifts if config.time_margin > 0.0 else (0.0,):
+            look(shift)
+            if not classify(True):
+                break
+
+    for array in (samples, motion, reading):
+        array.flags.writeable = False
+    return tuple(
+        was
+        if scan is None
+        else _make_masked_scan(scan, held[i], samples, reading, motion, i, n)
+        for i, (scan, was) in enumerate(zip(scans, before, strict=True))
     )
-    return (
-        reading,
+
+
+def _load_samples(samples, first, n, scan, before):
+    if scan.status.shape != (n,):
+        raise ValueError(
+            f"scan of {len(scan.status)} sensors, but the mask has {n}"
+        )
+    if before.reading.shape != (n,):
+        before = _NOTHING_BEFORE
+    return _hold_samples(
+        samples,
+        first,
+        scan.sensor_time,
+        scan.distance,
+        scan.status,
+        before.scan.sensor_time,
+        before.scan.distance,
+        before.scan.status,
+        before.reading,
+        before.previous_distance,
+        before.previous_time,
+    )
+
+
+_NOTHING_BEFORE = MaskedScan()
+
+
+def _make_masked_scan(scan, is_held, samples, reading, motion, ring, n):
+    sensors = slice(n * ring, n * ring + n)
+    (
+        sensor_time,
+        distance,
+        status,
         reckoned,
-        is_other,
-        self_nearest,
-        self_farthest,
         previous_distance,
         previous_time,
-        position,
-        velocity,
-        some_valid and speed > _STILL,
+        nearest,
+        farthest,
+        _,
+    ) = samples[:, sensors]
+    if is_held or reckoned.tobytes() != distance.tobytes():
+        if is_held:
+            status = status.astype(np.uint8)
+            status.flags.writeable = False
+        else:
+            status = scan.status
+        scan = RingScan.of_read_only(
+            sequence=scan.sequence,
+            time=scan.time,
+            sensor_time=sensor_time,
+            distance=reckoned,
+            status=status,
+        )
+    return MaskedScan.of_read_only(
+        scan=scan,
+        reading=reading[sensors],
+        self_nearest=nearest,
+        self_farthest=farthest,
+        previous_distance=previous_distance,
+        previous_time=previous_time,
+        position=motion[0, sensors],
+        velocity=motion[1, sensors],
     )
 
 
@@ -622,7 +634,6 @@ class OcclusionMask(LeafSystem):
         self._config = config
         self._caster = caster
         self._bundles = bundles
-        self._rows = [slice(n * i, n * i + n) for i in range(len(name))]
         self._twin = twin
         self._scans = [
             self.DeclareAbstractInputPort(f"scan_{ring}", Value(RingScan()))
@@ -672,32 +683,30 @@ class OcclusionMask(LeafSystem):
             state.get_mutable_abstract_state(index)
             for index in self._masked_scans
         ]
-        view = None
-        for value, port, rows in zip(
-            values, self._scans, self._rows, strict=True
-        ):
-            scan = port.Eval(context)
-            before = value.get_value()
-            if scan.sequence == before.scan.sequence:
-                continue
-            if view is None:
-                view = TwinView(
-                    enabled=self._config.enabled,
-                    caster=self._caster,
-                    bundles=self._bundles,
-                    twin=self._twin,
-                    table=self._push_report(context),
-                )
-            value.set_value(
-                mask_scan(
-                    self._config,
-                    scan=scan,
-                    before=before,
-                    time=context.get_time(),
-                    view=view,
-                    rows=rows,
-                )
-            )
-        if view is None:
+        before = [value.get_value() for value in values]
+        scans = [port.Eval(context) for port in self._scans]
+        is_new = [
+            scan.sequence != was.scan.sequence
+            for scan, was in zip(scans, before, strict=True)
+        ]
+        if not any(is_new):
             return EventStatus.DidNothing()
+        masked_scans = mask_scans(
+            self._config,
+            scans=[
+                scan if new else None
+                for scan, new in zip(scans, is_new, strict=True)
+            ],
+            before=before,
+            time=context.get_time(),
+            table=self._push_report(context),
+            caster=self._caster,
+            bundles=self._bundles,
+            twin=self._twin,
+        )
+        for value, masked_scan, new in zip(
+            values, masked_scans, is_new, strict=True
+        ):
+            if new:
+                value.set_value(masked_scan)
         return EventStatus.Succeeded()
