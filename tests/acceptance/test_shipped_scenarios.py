@@ -39,7 +39,7 @@ class TestThePapersCell:
         assert sum(full) >= 5
 
     def test_nothing_that_moves_touches_the_person(self, run, ssm):
-        samples, summary = run(text=self.text(ssm))
+        _, summary = run(text=self.text(ssm))
         if ssm == "sm":
             # Fixed distances are too short for a person who walks in (see
             # docs/safety_law.md): not hidden, but told with its cause.
