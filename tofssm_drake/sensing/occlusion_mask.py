@@ -577,7 +577,7 @@ class OcclusionMask(LeafSystem):
         - masked_scan_tool
 
     Once a control tick it remembers what the robot reports; where a ring's
-    scan is new, it tells what each reading means (`mask_scan`). Nothing of
+    scan is new, it tells what each reading means (`mask_scans`). Nothing of
     the simulated world is used: the rays are cast on a twin that is posed
     from the measured joints. All rings share one system, since they share
     the robot's reports and an event costs more than a look at a scan.
