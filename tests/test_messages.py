@@ -16,6 +16,16 @@ class TestMessages(unittest.TestCase):
         with self.assertRaises(ValueError):
             dut.distance[0] = 0.0
 
+    def test_of_read_only_makes_the_same(self):
+        distance = np.ones(8)
+        plain = mut.RingScan(distance=distance)
+        dut = mut.RingScan.of_read_only(**vars(plain))
+        self.assertEqual(vars(dut), vars(plain))
+        self.assertIs(dut.distance, distance)
+        self.assertIs(copy.deepcopy(dut), dut)
+        with self.assertRaises(AttributeError):
+            dut.sequence = 3
+
     def test_nothing_is_trusted_before_the_first_sample(self):
         separation = mut.make_empty_separation()
         self.assertTrue((separation.health == mut.RingHealth.FAULTED).all())

@@ -21,6 +21,7 @@ from tofssm_drake.geometry.fan import make_cone_fan
 from tofssm_drake.geometry.ray_caster import RayCaster
 from tofssm_drake.messages import RINGS, MaskedScan, Reading, RingScan
 import tofssm_drake.sensing.occlusion_mask as mut
+from tofssm_drake.sensing.readings import calc_self_interval, classify_readings
 from tofssm_drake.sensing.ring_mount import RingMount
 from tofssm_drake.sensing.tof_rings import TofRingConfig
 
@@ -411,6 +412,243 @@ class TestMaskScan(unittest.TestCase):
             self.assertEqual(dut.reading[0], MASKED)
         if distance < position - 0.031:
             self.assertEqual(dut.reading[0], VALID)
+
+
+def mask_in_full(config, *, scan, before, time, table, cell, ring):
+    """As mask_scans, for one ring, without leaving anything out."""
+    n = len(scan.status)
+    rows = slice(n * ring, n * ring + n)
+    nobody = before.reading.shape != (n,)
+    sensor_time, distance, status = (
+        scan.sensor_time.copy(),
+        scan.distance.copy(),
+        scan.status.copy(),
+    )
+    if not nobody:
+        held = status == 254
+        sensor_time[held] = before.scan.sensor_time[held]
+        distance[held] = before.scan.distance[held]
+        status[held] = before.scan.status[held]
+    reports = np.zeros((n, 15))
+    looks = []
+    for shift in (0.0, -config.time_margin, config.time_margin):
+        seen = np.full((n, len(cell["bundles"].fan_S)), np.inf)
+        for i in np.flatnonzero(np.isfinite(sensor_time)):
+            report = mut.interpolate_reports(table, sensor_time[i] + shift)
+            if shift == 0.0:
+                reports[i] = report
+            if config.enabled:
+                X_WF = cell["twin"].calc(report[1:7], report[13], report[14])
+                distances, _ = cell["caster"].cast_bundles(
+                    cell["bundles"], X_WF
+                )
+                seen[i] = distances[rows][i]
+        looks.append(seen)
+
+    def classify(looks):
+        nearest, farthest = calc_self_interval(np.hstack(looks))
+        reading, reckoned = classify_readings(
+            distance,
+            status,
+            time - sensor_time,
+            nearest,
+            farthest,
+            config.tolerance,
+            config.min_range,
+            config.max_range,
+            config.max_age,
+        )
+        return reading, reckoned, nearest, farthest
+
+    moves = np.abs(reports[:, 7:13]).max() > 0.05
+    reading, reckoned, nearest, farthest = classify(
+        looks if moves else looks[:1]
+    )
+    same = not nobody and sensor_time == before.scan.sensor_time
+    if nobody:
+        previous_distance = np.full(n, np.nan)
+        previous_time = np.full(n, -np.inf)
+    else:
+        previous_distance = np.where(
+            same,
+            before.previous_distance,
+            np.where(before.reading == VALID, before.scan.distance, np.nan),
+        )
+        previous_time = np.where(
+            same, before.previous_time, before.scan.sensor_time
+        )
+    return MaskedScan(
+        scan=RingScan(
+            sequence=scan.sequence,
+            time=scan.time,
+            sensor_time=sensor_time,
+            distance=reckoned,
+            status=status,
+        ),
+        reading=reading,
+        self_nearest=nearest,
+        self_farthest=farthest,
+        previous_distance=previous_distance,
+        previous_time=previous_time,
+        position=reports[:, 1:7],
+        velocity=reports[:, 7:13],
+    )
+
+
+class TestMaskScans(unittest.TestCase):
+    def make_scan(self, rng, sequence, now, position):
+        """A scan with anything that may come, often close to the robot."""
+        n = 8
+        distance = np.where(
+            rng.random(n) < 0.8,
+            rng.uniform(0.0, 1.4, n),
+            rng.choice([np.nan, -0.1, 0.0, 5.0, 66.0], n),
+        )
+        if rng.random() < 0.7:
+            distance[0] = max(position + rng.uniform(-0.05, 0.1), 0.0)
+        kind = rng.integers(4)
+        if kind == 0:
+            sensor_time = np.full(n, now - 0.011)
+        elif kind == 1:
+            sensor_time = now - 0.008 * rng.integers(0, 3, n)
+        elif kind == 2:
+            sensor_time = now - rng.uniform(0.0, 0.09, n)
+        else:
+            sensor_time = rng.choice([now - 0.01, np.nan, np.inf, -np.inf], n)
+        return RingScan(
+            sequence=sequence,
+            time=now,
+            sensor_time=sensor_time,
+            distance=distance,
+            status=rng.choice(
+                np.array([0, 0, 0, 0, 2, 3, 254, 255], dtype=np.uint8), n
+            ),
+        )
+
+    def check(self, seed, config):
+        """Compares a run of scans with the straightforward way."""
+        rng = np.random.default_rng(seed)
+        cell = make_cell(config, names=RINGS)
+        # The robot says whether it moves.
+        speed, scale = rng.choice([-1.5, 0.0, 1.5]), rng.choice([0.0, 1.0])
+        times = 0.008 * np.arange(12)
+        before = expected_before = [MaskedScan()] * 3
+        for sequence in range(4):
+            now = times[-1]
+            position = rng.uniform(0.05, 1.3)
+            table = make_history(
+                times,
+                position + speed * (times - now + 0.01),
+                scale=scale,
+                gripper_closed=sequence % 2,
+            )
+            scans = [
+                self.make_scan(rng, sequence, now, position)
+                if rng.random() < 0.8
+                else None
+                for _ in RINGS
+            ]
+            after = mut.mask_scans(
+                config,
+                scans=scans,
+                before=before,
+                time=now,
+                table=table,
+                **cell,
+            )
+            expected_after = [
+                was
+                if scan is None
+                else mask_in_full(
+                    config,
+                    scan=scan,
+                    before=was,
+                    time=now,
+                    table=table,
+                    cell=cell,
+                    ring=ring,
+                )
+                for ring, (scan, was) in enumerate(
+                    zip(scans, expected_before, strict=True)
+                )
+            ]
+            for scan, was, dut, expected in zip(
+                scans, before, after, expected_after, strict=True
+            ):
+                if scan is None:
+                    self.assertIs(dut, was)
+                else:
+                    self.compare(dut, expected)
+                    self.seen.update(dut.reading.tolist())
+            before, expected_before = after, expected_after
+            times = times + 0.024
+
+    def compare(self, dut, expected):
+        self.assertEqual(dut.scan.sequence, expected.scan.sequence)
+        self.assertEqual(dut.scan.time, expected.scan.time)
+        for one, two, names in (
+            (dut.scan, expected.scan, ("sensor_time", "distance", "status")),
+            (
+                dut,
+                expected,
+                (
+                    "reading",
+                    "previous_distance",
+                    "previous_time",
+                    "position",
+                    "velocity",
+                ),
+            ),
+        ):
+            for name in names:
+                a, b = getattr(one, name), getattr(two, name)
+                np.testing.assert_array_equal(a, b, err_msg=name)
+                self.assertEqual(a.dtype, b.dtype, name)
+                self.assertTrue(a.flags.c_contiguous, name)
+                self.assertFalse(a.flags.writeable, name)
+        # The hits are all those that were looked for.
+        valid = dut.reading == VALID
+        for name in ("self_nearest", "self_farthest"):
+            a, b = getattr(dut, name), getattr(expected, name)
+            np.testing.assert_array_equal(a[valid], b[valid], err_msg=name)
+            self.assertFalse(a.flags.writeable, name)
+        self.assertTrue((dut.self_nearest >= expected.self_nearest).all())
+        self.assertTrue((dut.self_farthest <= expected.self_farthest).all())
+        self.assertEqual(
+            set(vars(dut)), {field.name for field in dc.fields(MaskedScan)}
+        )
+        self.assertEqual(
+            set(vars(dut.scan)), {field.name for field in dc.fields(RingScan)}
+        )
+
+    def test_as_without_leaving_anything_out(self):
+        self.seen = set()
+        for config in (
+            mut.OcclusionMaskConfig(),
+            mut.OcclusionMaskConfig(time_margin=0.0),
+            mut.OcclusionMaskConfig(time_margin=0.02, sigma=0.002),
+            mut.OcclusionMaskConfig(enabled=False),
+        ):
+            for seed in range(40):
+                with self.subTest(config=config, seed=seed):
+                    self.check(seed, config)
+        self.assertEqual(self.seen, {CLEAR, VALID, MASKED, FAULTED})
+
+    def test_sensors_that_see_nothing_cost_no_look(self):
+        config = mut.OcclusionMaskConfig()
+        cell = make_cell(config)
+        table = make_history([0.0, 2.0], [0.5, 0.5])
+        for status, looks in ((2, 0), (255, 0), (3, 3), (0, 3)):
+            cell["twin"].asked.clear()
+            mask_scan(
+                config,
+                scan=make_scan(0.3, status),
+                before=MaskedScan(),
+                time=1.01,
+                table=table,
+                cell=cell,
+            )
+            self.assertEqual(len(cell["twin"].asked), looks)
 
 
 class TestOcclusionMask(unittest.TestCase):

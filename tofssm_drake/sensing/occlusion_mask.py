@@ -214,9 +214,8 @@ def interpolate_reports(table, time):
 
 
 # Rows of the table of all rings' samples.
-_SENSOR_TIME, _DISTANCE, _STATUS, _RECKONED = 0, 1, 2, 3
-_PREVIOUS_DISTANCE, _PREVIOUS_TIME = 4, 5
-_NEAREST, _FARTHEST, _MOVES = 6, 7, 8
+_NEAREST, _FARTHEST, _PREVIOUS_DISTANCE, _PREVIOUS_TIME = 0, 1, 2, 3
+_SENSOR_TIME, _DISTANCE, _STATUS, _RECKONED, _MOVES = 4, 5, 6, 7, 8
 _ROWS = 9
 
 
@@ -492,12 +491,15 @@ def mask_scans(
             if not classify(True):
                 break
 
+    # The messages are views of these.
     for array in (samples, motion, reading):
         array.flags.writeable = False
     return tuple(
         was
         if scan is None
-        else _make_masked_scan(scan, held[i], samples, reading, motion, i, n)
+        else _make_masked_scan(
+            scan, held[i], samples, reading, motion, slice(n * i, n * i + n)
+        )
         for i, (scan, was) in enumerate(zip(scans, before, strict=True))
     )
 
@@ -527,32 +529,22 @@ def _load_samples(samples, first, n, scan, before):
 _NOTHING_BEFORE = MaskedScan()
 
 
-def _make_masked_scan(scan, is_held, samples, reading, motion, ring, n):
-    sensors = slice(n * ring, n * ring + n)
-    (
-        sensor_time,
-        distance,
-        status,
-        reckoned,
-        previous_distance,
-        previous_time,
-        nearest,
-        farthest,
-        _,
-    ) = samples[:, sensors]
-    if is_held or reckoned.tobytes() != distance.tobytes():
+def _make_masked_scan(scan, is_held, samples, reading, motion, sensors):
+    distance = samples[_RECKONED, sensors]
+    if is_held or distance.tobytes() != scan.distance.tobytes():
+        status = scan.status
         if is_held:
-            status = status.astype(np.uint8)
+            status = samples[_STATUS, sensors].astype(np.uint8)
             status.flags.writeable = False
-        else:
-            status = scan.status
         scan = RingScan.of_read_only(
             sequence=scan.sequence,
             time=scan.time,
-            sensor_time=sensor_time,
-            distance=reckoned,
+            sensor_time=samples[_SENSOR_TIME, sensors],
+            distance=distance,
             status=status,
         )
+    # In the order of the table's first rows.
+    nearest, farthest, previous_distance, previous_time = samples[:4, sensors]
     return MaskedScan.of_read_only(
         scan=scan,
         reading=reading[sensors],
@@ -585,7 +577,7 @@ class OcclusionMask(LeafSystem):
         - masked_scan_tool
 
     Once a control tick it remembers what the robot reports; where a ring's
-    scan is new, it tells what each reading means (`mask_scan`). Nothing of
+    scan is new, it tells what each reading means (`mask_scans`). Nothing of
     the simulated world is used: the rays are cast on a twin that is posed
     from the measured joints. All rings share one system, since they share
     the robot's reports and an event costs more than a look at a scan.

@@ -279,8 +279,11 @@ class TofRings(LeafSystem):
         )
         time = context.get_time()
         sensor_time = np.full(len(distance), time)
+        # The messages are views of these.
+        for array in (sensor_time, distance, status):
+            array.flags.writeable = False
         return tuple(
-            RingScan(
+            RingScan.of_read_only(
                 sequence=sequence,
                 time=time + self._latency,
                 sensor_time=sensor_time[rows],

@@ -179,7 +179,10 @@ def calc_safety_index(
         separation.health,
         index,
     )
-    return _FilteredIndex(
+    health = index[8].astype(np.uint8)
+    for array in (index, health):
+        array.flags.writeable = False
+    return _FilteredIndex.of_read_only(
         name=separation.name,
         sequence=separation.sequence,
         time=separation.time,
@@ -189,7 +192,7 @@ def calc_safety_index(
         dsi=index[1],
         dsi_C=index[6],
         dsi_R=index[7],
-        health=index[8].astype(np.uint8),
+        health=health,
         separation=separation,
         to_store=index[:3],
     )
