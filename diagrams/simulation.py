@@ -22,13 +22,11 @@ class Progress:
     products_placed: int
     wall_time: float
     """Time since the start on the wall's clock, s."""
+    real_time_factor: float
+    """Simulated over passed time since the end of the first step, in which
+    the compiled kernels are loaded, or compiled if it is the first run."""
     finished: bool
     """The task is done, or the time is up."""
-
-    @property
-    def real_time_factor(self) -> float:
-        """Simulated over passed time."""
-        return self.time / self.wall_time if self.wall_time > 0.0 else 0.0
 
 
 class Run:
@@ -63,6 +61,7 @@ class Run:
         self._products_placed = station.GetOutputPort("products_placed")
         self._steps = 0
         self._wall_time = 0.0
+        self._first = 0.0, 0.0
 
     @property
     def context(self) -> Context:
@@ -77,6 +76,12 @@ class Run:
         end = min(self._steps * self._step, self._duration)
         self._simulator.AdvanceTo(end)
         self._wall_time += time.perf_counter() - start
+        if self._steps == 1:
+            self._first = end, self._wall_time
+        start_time, start_wall_time = (
+            (0.0, 0.0) if self._steps == 1 else self._first
+        )
+        factor = (end - start_time) / (self._wall_time - start_wall_time)
         done = self._task_done.Eval(self._station_context)[0] > 0.5
         return Progress(
             time=end,
@@ -84,6 +89,7 @@ class Run:
                 self._products_placed.Eval(self._station_context)[0]
             ),
             wall_time=self._wall_time,
+            real_time_factor=factor,
             finished=bool(done or end >= self._duration),
         )
 

@@ -41,6 +41,15 @@ from tofssm_drake.visualization.recording import (
     write_recording,
 )
 
+RESULTS = (
+    "report.html",
+    "recording.html",
+    "summary.json",
+    "samples.parquet",
+    "scans.parquet",
+)
+"""What a run leaves in its folder."""
+
 
 def simulate(
     scenario_file: Annotated[
@@ -240,6 +249,9 @@ def make_folder(folder: Path) -> None:
         folder.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=folder):
             pass
+        for path in folder.iterdir():
+            if path.name in RESULTS and path.is_dir():
+                raise IsADirectoryError(0, f"{path.name} is a folder")
     except OSError as error:
         raise UserError(
             f"--out: can not write into {folder}: {error.strerror}"

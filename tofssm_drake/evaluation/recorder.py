@@ -124,6 +124,7 @@ class _Log:
         # The last of each.
         self.separation = None
         self.states = None
+        self.why = None
 
     def pack(self):
         """Turns the messages into columns, a tenth of their size."""
@@ -229,12 +230,15 @@ class MessageLog(LeafSystem):
             if len(log.separations) == _PACK_AT:
                 log.pack()
         states = self._ring_states_port.Eval(context).tolist()
-        if states != log.states:
-            # Words cost more than numbers: one reason per robot state.
-            if log.states is None or min(states) != min(log.states):
+        # Words cost more than numbers: one reason per robot state, and
+        # another one when the last ring has its first sample.
+        why = (min(states), bool((separation.sequence < 0).any()))
+        if states != log.states or why != log.why:
+            if why != log.why:
                 log.reasons.append(self._reason_port.Eval(context))
             else:
                 log.reasons.append(log.reasons[-1])
+            log.why = why
             log.states = states
             log.state_times.append(time)
             log.ring_states.append(states)

@@ -97,7 +97,10 @@ class ProgramConfig:
 
     def check(self, where: str) -> None:
         """Raises UserError with one line if a setting is out of range."""
-        require(self.products >= 1, f"{where}.products: must be at least 1")
+        require(
+            1 <= self.products <= 100,
+            f"{where}.products: must be from 1 to 100, got {self.products}",
+        )
         for name in (
             "hover_radius",
             "hover_height",

@@ -112,13 +112,13 @@ def calc_reason(*, index: SafetyIndex, now: float, config: SsmConfig) -> str:
         age = now - index.time[i]
         if index.sequence[i] < 0:
             return f"{state}: {name} has no sample yet"
+        if index.health[i] not in (RingHealth.HEALTHY, RingHealth.BLIND):
+            return f"{state}: {name} is faulted"
         if not abs(age) <= config.deadline:
             return (
                 f"{state}: {name} sample is {age:.3f} s old, deadline "
                 f"{config.deadline:.3f} s"
             )
-        if index.health[i] not in (RingHealth.HEALTHY, RingHealth.BLIND):
-            return f"{state}: {name} is faulted"
         if index.health[i] == RingHealth.BLIND and not is_stop:
             return f"{state}: {name} is blind"
         ratio = index.dsi[i] / threshold[i]
