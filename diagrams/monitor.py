@@ -70,6 +70,7 @@ def make_monitor(scenario: Scenario) -> Diagram:
         scene_graph=scene_graph,
         sensors_per_ring=scenario.sensors_per_ring,
         products=scenario.program.products,
+        meshes=scenario.robot_meshes,
     )
     kinematics = RingKinematics.from_plant(plant)
     mask, geometries = _add_mask(

@@ -82,6 +82,7 @@ def make_station(scenario: Scenario) -> Station:
         sensors_per_ring=scenario.sensors_per_ring,
         products=scenario.program.products,
         scene_graph=scene_graph,
+        meshes=scenario.robot_meshes,
     )
     kinematics = RingKinematics.from_plant(plant)
 

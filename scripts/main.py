@@ -6,21 +6,28 @@ import typer
 from typer.exceptions import TyperException
 
 from tofssm_drake.errors import UserError
-from tofssm_drake.scripts.simulate import simulate
-
-app = typer.Typer(
-    name="tofssm",
-    help="Speed and separation monitoring with on-robot Time-of-Flight rings.",
-    add_completion=False,
-    no_args_is_help=True,
-    pretty_exceptions_enable=False,
-)
-app.command()(simulate)
 
 
-@app.callback()
-def _tofssm() -> None:
-    """Keeps `simulate` a subcommand while it is the only one."""
+def make_app() -> typer.Typer:
+    """Makes the command with its subcommands.
+
+    They are imported here and not above: it takes a second, in which Ctrl-C
+    has to work as well.
+    """
+    from tofssm_drake.scripts.simulate import simulate
+
+    app = typer.Typer(
+        name="tofssm",
+        help="Speed and separation monitoring with on-robot "
+        "Time-of-Flight rings.",
+        add_completion=False,
+        no_args_is_help=True,
+        pretty_exceptions_enable=False,
+    )
+    app.command()(simulate)
+    # Keeps `simulate` a subcommand while it is the only one.
+    app.callback()(lambda: None)
+    return app
 
 
 def run(arguments: list[str] | None = None) -> int:
@@ -33,8 +40,8 @@ def run(arguments: list[str] | None = None) -> int:
         0: done. 2: a mistake of the user, told in one line on stderr.
         130: interrupted, what was recorded until then is written.
     """
-    command = typer.main.get_command(app)
     try:
+        command = typer.main.get_command(make_app())
         result = command.main(
             args=arguments, prog_name="tofssm", standalone_mode=False
         )

@@ -122,7 +122,7 @@ def simulate(
     if graphviz:
         draw_diagram(workcell.diagram, graphviz)
     if meshcat:
-        print(f"watch at {display.web_url()}")
+        print(f"watch at {display.web_url()}", flush=True)
     if recording:
         start_recording(display, live=meshcat)
     samples, progress = run(workcell, scenario, live=meshcat)

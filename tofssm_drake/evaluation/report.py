@@ -9,7 +9,11 @@ import jinja2
 import numpy as np
 
 from tofssm_drake.evaluation import figures
-from tofssm_drake.evaluation.approach import Approach, RingApproach
+from tofssm_drake.evaluation.approach import (
+    USUAL_DELAY,
+    Approach,
+    RingApproach,
+)
 from tofssm_drake.evaluation.metrics import (
     Contact,
     Episode,
@@ -138,18 +142,33 @@ def make_verdict(summary: dict, *, products: int) -> list[tuple[str, str]]:
         )
     episodes = summary["slow_episodes"]
     if episodes:
+        standstills = summary["standstills"]
+        stood = (
+            f"brought it to a standstill {_times(standstills)}"
+            if standstills
+            else "never brought it to a standstill"
+        )
         verdict.append(
             (
                 "note",
                 f"The rings slowed the robot in "
-                f"{count_of(episodes, 'episode')} and brought it to a "
-                f"standstill {_times(summary['standstills'])}. It was told "
+                f"{count_of(episodes, 'episode')} and {stood}. It was told "
                 f"to stop for {summary['stopped_s']:.1f} s and to run at "
                 f"half speed for {summary['reduced_s']:.1f} s in all.",
             )
         )
     else:
         verdict.append(("note", "Nothing stopped or slowed the robot."))
+    late = summary.get("late_stops", 0)
+    if late:
+        verdict.append(
+            (
+                "note",
+                f"A stop came late {_times(late)}: the person was truly within "
+                f"a link's critical distance for more than "
+                f"{USUAL_DELAY:.2f} s before the rings said so.",
+            )
+        )
     return verdict
 
 

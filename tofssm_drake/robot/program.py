@@ -119,8 +119,8 @@ class ProgramConfig:
                 f"got {getattr(self, name):g}",
             )
         require(
-            self.gripper_dwell >= 0,
-            f"{where}.gripper_dwell: must not be negative, "
+            0 <= self.gripper_dwell <= 60,
+            f"{where}.gripper_dwell: must be from 0 to 60 s, "
             f"got {self.gripper_dwell:g}",
         )
         require(

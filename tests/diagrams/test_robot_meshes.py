@@ -1,0 +1,40 @@
+"""The setting `robot_meshes` reaches the world and the monitor's twin."""
+
+from pydrake.geometry import Mesh, Role
+
+from tofssm_drake.diagrams.scenario import load_scenario
+from tofssm_drake.diagrams.simulation import Run
+from tofssm_drake.diagrams.station import make_station
+from tofssm_drake.diagrams.workcell import make_workcell
+
+
+def count_meshes(scenario):
+    inspector = make_station(scenario).scene_graph.model_inspector()
+    return sum(
+        isinstance(inspector.GetShape(geometry_id), Mesh)
+        for geometry_id in inspector.GetAllGeometryIds(Role.kPerception)
+    )
+
+
+def test_the_world_has_the_real_surfaces_if_asked_for():
+    assert count_meshes(load_scenario()) == 0
+    text = "{robot_meshes: true}"
+    assert count_meshes(load_scenario(text=text)) >= 7
+
+
+def test_the_mask_knows_them_too():
+    """With nobody there, no reading of the robot's surface is taken as other.
+
+    A twin of capsules would not do: they stand out by centimetres.
+    """
+    scenario = load_scenario(
+        name="NoHuman",
+        text="{robot_meshes: true, simulation_duration: 4.0}",
+    )
+    run = Run(workcell=make_workcell(scenario), scenario=scenario)
+    while not run.advance().finished:
+        pass
+    samples = run.make_samples()
+    for ring in samples.rings:
+        assert samples[f"{ring}_valid"].max() == 0
+        assert samples[f"{ring}_masked"].max() > 0
