@@ -1,11 +1,17 @@
 """The setting `robot_meshes` reaches the world and the monitor's twin."""
 
+import importlib.metadata
+import sys
+
 from pydrake.geometry import Mesh, Role
+import pytest
 
 from tofssm_drake.diagrams.scenario import load_scenario
 from tofssm_drake.diagrams.simulation import Run
 from tofssm_drake.diagrams.station import make_station
 from tofssm_drake.diagrams.workcell import make_workcell
+import tofssm_drake.robot.meshes as meshes
+import tofssm_drake.scripts.main as main
 
 
 def count_meshes(scenario):
@@ -38,3 +44,37 @@ def test_the_mask_knows_them_too():
     for ring in samples.rings:
         assert samples[f"{ring}_valid"].max() == 0
         assert samples[f"{ring}_masked"].max() > 0
+
+
+@pytest.mark.parametrize("module", ["collada", "trimesh"])
+def test_without_the_extra_it_says_what_to_install(
+    monkeypatch, capfd, tmp_path, module
+):
+    monkeypatch.setitem(sys.modules, module, None)
+    check_told(capfd, tmp_path / "out")
+
+
+def test_without_the_package_of_meshes_it_says_so_too(
+    monkeypatch, capfd, tmp_path
+):
+    def find_none(name):
+        raise importlib.metadata.PackageNotFoundError(name)
+
+    meshes.find_ur10_urdf.cache_clear()
+    monkeypatch.setattr(importlib.metadata, "files", find_none)
+    check_told(capfd, tmp_path / "out")
+
+
+def check_told(capfd, out):
+    meshes._find_mesh_files.cache_clear()
+    code = main.run(
+        [
+            *("simulate", "--no-recording", "--out", str(out)),
+            *("--scenario-text", "{robot_meshes: true}"),
+        ]
+    )
+    assert code == 2
+    (line,) = capfd.readouterr().err.splitlines()
+    assert "robot_meshes" in line
+    assert "tofssm-drake[meshes]" in line
+    assert not out.exists()

@@ -2,17 +2,9 @@ import unittest
 
 import numpy as np
 from pydrake.geometry import Capsule, Mesh, Role, SceneGraph, Sphere
-import pytest
 
 import tofssm_drake.robot.meshes as mut
 from tofssm_drake.robot.twin import make_cell_plant
-
-pytest.importorskip("trimesh")
-pytest.importorskip("collada")
-try:
-    mut.find_ur10_urdf()
-except ValueError:
-    pytest.skip("example-robot-data not installed", allow_module_level=True)
 
 
 def calc_distance(shape, X_LG, points):

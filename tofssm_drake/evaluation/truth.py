@@ -1,7 +1,5 @@
 """Layout of the ground truth's vector, shared by who writes and reads it."""
 
-import numpy as np
-
 
 class TruthLayout:
     """Where each quantity sits in the vector of a `TruthModel`.
@@ -42,17 +40,3 @@ class TruthLayout:
         self.ring_azimuth = slice(16 + m, 16 + 2 * m)
         self.ring_elevation = slice(16 + 2 * m, 16 + 3 * m)
         self.size = 16 + 3 * m
-
-    def make_empty(self) -> np.ndarray:
-        """Returns the vector of a cell without a person and a robot at rest.
-
-        Distances are inf, points and angles NaN, indices -1, speeds 0.
-        """
-        truth = np.full(self.size, np.nan)
-        truth[self.distance] = np.inf
-        truth[self.ring_distance] = np.inf
-        truth[self.robot_body] = -1
-        truth[self.person_part] = -1
-        truth[self.contact_speed] = 0.0
-        truth[self.tcp_speed] = 0.0
-        return truth

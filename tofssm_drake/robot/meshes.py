@@ -46,7 +46,7 @@ def _import_trimesh():
         import trimesh
     except ImportError as error:
         raise UserError(
-            "meshes: need the optional extra, pip install "
+            "robot_meshes: needs the optional extra, pip install "
             f"'tofssm-drake[meshes]' (no module named {error.name})"
         ) from None
     return trimesh
@@ -67,8 +67,8 @@ def find_ur10_urdf() -> pathlib.Path:
         if file.match("ur_description/urdf/ur10_robot.urdf"):
             return pathlib.Path(str(file.locate())).resolve()
     raise UserError(
-        "meshes: need the optional extra, pip install 'tofssm-drake[meshes]' "
-        "(no UR10 in example-robot-data)"
+        "robot_meshes: needs the optional extra, pip install "
+        "'tofssm-drake[meshes]' (no UR10 in example-robot-data)"
     )
 
 
