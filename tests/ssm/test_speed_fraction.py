@@ -196,8 +196,10 @@ class TestCalcNextSpeedFraction(unittest.TestCase):
 
     def test_fails_to_zero_when_ruckig_does(self):
         for result in (Result.Error, Result.ErrorExecutionTimeCalculation):
-            with mock.patch.object(mut, "Ruckig") as ruckig:
-                ruckig.return_value.calculate.return_value = result
+            with mock.patch.object(mut, "_make_planner") as make_planner:
+                otg = mock.Mock()
+                otg.calculate.return_value = result
+                make_planner.return_value = otg, mock.Mock(), mock.Mock()
                 self.assertEqual(
                     mut.calc_next_speed_fraction(
                         config=SsmConfig(),

@@ -238,6 +238,31 @@ def advance_path_time(state, time, period):
 
 
 @njit(cache=True)
+def begin_tick(state, time, period, duration, speed_fraction):
+    """Moves the state on to a tick and sets the rate of path time from there.
+
+    Args:
+        state: As in `advance_path_time`, of the tick before; overwritten.
+        time: Of the tick, s.
+        period: Of the tick, s.
+        duration: Path time at the end, s, which it does not pass.
+        speed_fraction: Where the rate goes within the period, clipped to
+            [0, 1]; not a number counts as 0.
+
+    Returns:
+        Path time at the tick, s.
+    """
+    s, rate, _ = advance_path_time(state, time, period)
+    # Not a number fails both comparisons and stops the robot.
+    wanted = min(speed_fraction, 1.0) if speed_fraction > 0.0 else 0.0
+    state[0] = min(s, duration)
+    state[1] = rate
+    state[2] = (wanted - rate) / period
+    state[3] = time
+    return state[0]
+
+
+@njit(cache=True)
 def calc_motion_commanded(start, coefficients, state, time, period):
     """Returns q, qd, qdd (3 n,) of the motion at speed fraction ds/dt.
 
@@ -547,16 +572,12 @@ class PickAndPlaceProgram(LeafSystem):
         output.SetFromVector(motion[6 * part : 6 * part + 6])
 
     def _update(self, context: Context, discrete_state: DiscreteValues) -> None:
-        state = context.get_discrete_state(self._progress).value()
-        time = context.get_time()
-        s, rate, _ = advance_path_time(state, time, self._period)
-        s = min(s, self._path.duration)
-        wanted = self._speed_fraction.Eval(context)[0]
-        # Not a number fails both comparisons and stops the robot.
-        wanted = min(wanted, 1.0) if wanted > 0.0 else 0.0
-        change = (wanted - rate) / self._period
-        discrete_state.set_value(
-            self._progress, np.array([s, rate, change, time])
+        s = begin_tick(
+            discrete_state.get_mutable_value(self._progress),
+            context.get_time(),
+            self._period,
+            self._path.duration,
+            self._speed_fraction.Eval(context)[0],
         )
         # Compared with what they are: the last tick of a stop has moved the
         # robot, too, and someone may have set its path time.
@@ -566,5 +587,5 @@ class PickAndPlaceProgram(LeafSystem):
             (self._products_placed, path.calc_products_placed(s)),
             (self._task_done, s >= path.duration),
         ):
-            if value != context.get_discrete_state(index).value()[0]:
+            if value != discrete_state.get_value(index)[0]:
                 discrete_state.set_value(index, [float(value)])

@@ -1,7 +1,10 @@
 """Smooth speed fraction of the program (the 2019 paper, Eq. 3 and II-C-2)."""
 
+import atexit
 import dataclasses as dc
+import functools
 import math
+import threading
 
 from pydrake.systems.framework import EventStatus, LeafSystem
 from ruckig import (
@@ -19,6 +22,24 @@ from tofssm_drake.ssm.config import SsmConfig
 
 # What rounding leaves of a profile that has arrived.
 _TOLERANCE = 1e-9
+
+
+@functools.lru_cache(maxsize=16)
+def _make_planner(max_rate, max_acceleration, thread):
+    """Makes Ruckig's objects for one degree of freedom, once for a thread.
+
+    They are a working memory: `calculate` depends on what the input holds
+    then, not on the tick before.
+    """
+    otg_input = InputParameter(1)
+    otg_input.control_interface = ControlInterface.Velocity
+    otg_input.max_acceleration = [max_rate]
+    otg_input.max_jerk = [max_acceleration]
+    return Ruckig(1), Trajectory(1), otg_input
+
+
+# Ruckig's binding complains of objects that outlive the interpreter.
+atexit.register(_make_planner.cache_clear)
 
 
 def calc_next_speed_fraction(
@@ -61,11 +82,11 @@ def calc_next_speed_fraction(
         if rate > 0.0:
             room = 2.0 * config.rho_max_acceleration * (highest - rho)
             rate = min(rate, math.sqrt(room))
-    # New objects, because Ruckig's remember the tick before.
-    otg, trajectory, otg_input = Ruckig(1), Trajectory(1), InputParameter(1)
-    otg_input.control_interface = ControlInterface.Velocity
-    otg_input.max_acceleration = [config.rho_max_rate]
-    otg_input.max_jerk = [config.rho_max_acceleration]
+    otg, trajectory, otg_input = _make_planner(
+        config.rho_max_rate,
+        config.rho_max_acceleration,
+        threading.get_ident(),
+    )
     otg_input.current_velocity = [rho]
     otg_input.current_acceleration = [rate]
     otg_input.target_velocity = [target]
@@ -127,18 +148,19 @@ class SpeedFractionTrajectory(LeafSystem):
         )
 
     def _update(self, context, discrete_state):
-        (rho,) = context.get_discrete_state(self._rho).value()
-        (rate,) = context.get_discrete_state(self._rate).value()
+        # Before they are changed: those of the context.
+        (rho,) = discrete_state.get_value(self._rho).tolist()
+        (rate,) = discrete_state.get_value(self._rate).tolist()
         target = self._targets.get(self._robot_state.Eval(context)[0], 0.0)
         if rho == target and rate == 0.0:
             return EventStatus.DidNothing()
         rho, rate = calc_next_speed_fraction(
             config=self._config,
             period=self._period,
-            rho=float(rho),
-            rate=float(rate),
+            rho=rho,
+            rate=rate,
             target=target,
         )
-        discrete_state.set_value(self._rho, [rho])
-        discrete_state.set_value(self._rate, [rate])
+        discrete_state.get_mutable_value(self._rho)[0] = rho
+        discrete_state.get_mutable_value(self._rate)[0] = rate
         return EventStatus.Succeeded()
