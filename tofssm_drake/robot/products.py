@@ -61,16 +61,28 @@ def _write_slot(slot, yaw, X_WP):
 
 
 @njit(cache=True)
+def calc_carried_pose(X_WT, X_WP):
+    """Writes the pose of the product in the gripper, (3, 4).
+
+    Its middle is at the tool centre point; it is turned by half a turn about
+    the tool's x axis, so that its z points up when the tool points down.
+    """
+    for row in range(3):
+        X_WP[row, 0] = X_WT[row, 0]
+        X_WP[row, 1] = -X_WT[row, 1]
+        X_WP[row, 2] = -X_WT[row, 2]
+        X_WP[row, 3] = X_WT[row, 3]
+
+
+@njit(cache=True)
 def calc_product_poses(
     pick_slots, place_slots, pick_yaw, place_yaw, placed, closed, X_WT, X_WP
 ):
     """Poses of the products.
 
     Product i < placed is in its slot in the box; product `placed` is in the
-    gripper if that is closed; all others are in their slots on the table. The
-    product in the gripper has its middle at the tool centre point and is
-    turned by half a turn about the tool's x axis, so that its z points up
-    when the tool points down.
+    gripper if that is closed, see `calc_carried_pose`; all others are in their
+    slots on the table.
 
     Args:
         pick_slots: Middle of each product before, m, (n, 3).
@@ -86,11 +98,7 @@ def calc_product_poses(
         if i < placed:
             _write_slot(place_slots[i], place_yaw, X_WP[i])
         elif i == placed and closed:
-            for row in range(3):
-                X_WP[i, row, 0] = X_WT[row, 0]
-                X_WP[i, row, 1] = -X_WT[row, 1]
-                X_WP[i, row, 2] = -X_WT[row, 2]
-                X_WP[i, row, 3] = X_WT[row, 3]
+            calc_carried_pose(X_WT, X_WP[i])
         else:
             _write_slot(pick_slots[i], pick_yaw, X_WP[i])
 

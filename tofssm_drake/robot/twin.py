@@ -6,6 +6,7 @@ own copy, the twin, and poses it from measured joints at each sensor's own
 sample time. `TwinPoses` does that without a plant context.
 """
 
+from collections.abc import Sequence
 import dataclasses as dc
 
 from numba import njit
@@ -22,6 +23,7 @@ from tofssm_drake.robot.kinematics import (
 )
 from tofssm_drake.robot.products import (
     ProductLayout,
+    calc_carried_pose,
     calc_product_poses,
     calc_product_positions,
 )
@@ -136,73 +138,69 @@ def make_twin_plant(
     )
 
 
+_KIND = 12
+"""Column of a frame's kind, after its pose row by row."""
+
+
 @njit(cache=True)
 def calc_twin_poses(
-    X_WB,
-    X_PJ,
-    X_6T,
-    kind,
-    X_AF,
-    pick_slots,
-    place_slots,
-    pick_yaw,
-    place_yaw,
-    q,
-    placed,
-    closed,
-    X_WF,
+    robot, slots, frames, rows, q, gripper_closed, products_placed, X_WF
 ):
     """Poses of frames that stand still, ride on the robot or are products.
 
+    What is fixed comes in few arrays, as each one costs a fraction of a
+    microsecond on the way into compiled code.
+
     Args:
-        X_WB: Pose of the robot's base, (3, 4).
-        X_PJ: As in `calc_link_poses`, (6, 3, 4).
-        X_6T: Pose of the tool centre point in the last link, (3, 4).
-        kind: Per frame: -1 stands still, 0 to 6 rides on that link, 7 + i is
-            product i, (f,).
-        X_AF: Pose of each frame in world, in its link, or in its product,
-            (f, 3, 4).
-        pick_slots: As in `calc_product_poses`, like the next three.
-        place_slots: As above.
-        pick_yaw: As above.
-        place_yaw: As above.
-        q: Joint angles, rad, (6,).
-        placed: How many products are in the box.
-        closed: Whether the gripper is closed.
-        X_WF: Written, (f, 3, 4).
+        robot: Pose of the robot's base, X_PJ of its n joints as in
+            `calc_link_poses`, pose of the tool centre point in the last link,
+            (n + 2, 3, 4).
+        slots: Poses of the p products before they are picked and in the box,
+            (2, p, 3, 4).
+        frames: Of each frame its pose in world, in its link, or in its
+            product, row by row, and its kind: -1 stands still, 0 to n rides
+            on that link, n + 1 + i is product i; (f, 13).
+        rows: Where each frame is written, (f,).
+        q: Joint angles, rad, (n,).
+        gripper_closed: More than 0.5 is closed.
+        products_placed: How many products are in the box.
+        X_WF: Written in `rows`, (., 3, 4).
     """
     n = q.shape[0]
     X_WA = np.empty((n + 1, 3, 4))
-    calc_link_poses(X_WB, X_PJ, q, X_WA)
-    X_WT = np.empty((3, 4))
-    _multiply(X_WA[n], X_6T, X_WT)
-    X_WP = np.empty((pick_slots.shape[0], 3, 4))
-    calc_product_poses(
-        pick_slots,
-        place_slots,
-        pick_yaw,
-        place_yaw,
-        placed,
-        closed,
-        X_WT,
-        X_WP,
-    )
-    for f in range(kind.shape[0]):
-        if kind[f] < 0:
-            X_WF[f] = X_AF[f]
-        elif kind[f] <= n:
-            _multiply(X_WA[kind[f]], X_AF[f], X_WF[f])
+    calc_link_poses(robot[0], robot[1 : n + 1], q, X_WA)
+    placed = round(products_placed)
+    X_WP = np.empty((3, 4))
+    if gripper_closed > 0.5 and placed < slots.shape[1]:
+        X_WT = np.empty((3, 4))
+        _multiply(X_WA[n], robot[n + 1].ravel(), X_WT)
+        calc_carried_pose(X_WT, X_WP)
+    for f in range(frames.shape[0]):
+        kind = int(frames[f, _KIND])
+        X_AF = frames[f]
+        X_WF_f = X_WF[rows[f]]
+        if kind < 0:
+            for i in range(3):
+                for j in range(4):
+                    X_WF_f[i, j] = X_AF[4 * i + j]
+        elif kind <= n:
+            _multiply(X_WA[kind], X_AF, X_WF_f)
+        elif kind - n - 1 < placed:
+            _multiply(slots[1, kind - n - 1], X_AF, X_WF_f)
+        elif kind - n - 1 == placed and gripper_closed > 0.5:
+            _multiply(X_WP, X_AF, X_WF_f)
         else:
-            _multiply(X_WP[kind[f] - n - 1], X_AF[f], X_WF[f])
+            _multiply(slots[0, kind - n - 1], X_AF, X_WF_f)
 
 
 @njit(cache=True)
 def _multiply(X_AB, X_BC, X_AC):
+    """Writes X_AC; X_BC has its twelve numbers row by row."""
     for row in range(3):
         for column in range(4):
             total = X_AB[row, 3] if column == 3 else 0.0
             for k in range(3):
-                total += X_AB[row, k] * X_BC[k, column]
+                total += X_AB[row, k] * X_BC[4 * k + column]
             X_AC[row, column] = total
 
 
@@ -213,12 +211,11 @@ class TwinPoses:
     Made by `from_plant`; one compiled call per set of poses, no context.
     """
 
-    kinematics: RingKinematics
-    layout: ProductLayout
-    kind: np.ndarray
-    """See `calc_twin_poses`, (f,)."""
-    X_AF: np.ndarray
-    """See `calc_twin_poses`, (f, 3, 4)."""
+    robot: np.ndarray
+    """As in `calc_twin_poses`, like the next three."""
+    slots: np.ndarray
+    frames: np.ndarray
+    rows: np.ndarray
 
     @staticmethod
     def from_plant(
@@ -227,6 +224,7 @@ class TwinPoses:
         layout: ProductLayout,
         frame_ids: list | None = None,
         frames: list | None = None,
+        rows: Sequence[int] | None = None,
         kinematics: RingKinematics | None = None,
     ) -> "TwinPoses":
         """Reads once what is fixed.
@@ -237,6 +235,7 @@ class TwinPoses:
             frame_ids: SceneGraph frames to pose, e.g. a ray caster's; their
                 plant must be registered with that SceneGraph.
             frames: Or plant frames to pose.
+            rows: Where to write each frame's pose; None: one after another.
             kinematics: Of the plant's robot, if at hand.
 
         Raises:
@@ -284,11 +283,32 @@ class TwinPoses:
             X_AF.append(
                 frame.CalcPose(context, anchor.body_frame()).GetAsMatrix34()
             )
+        X_WT = np.zeros((3, 4))
+        slots = np.empty((2, len(layout), 3, 4))
+        for X_WP, placed in zip(slots, (0, len(layout)), strict=True):
+            calc_product_poses(
+                layout.pick_slots,
+                layout.place_slots,
+                layout.pick_yaw,
+                layout.place_yaw,
+                placed,
+                False,
+                X_WT,
+                X_WP,
+            )
         return TwinPoses(
-            kinematics=kinematics,
-            layout=layout,
-            kind=np.array(kinds, dtype=np.int64),
-            X_AF=np.array(X_AF).reshape(-1, 3, 4),
+            robot=np.concatenate(
+                [
+                    kinematics.X_WB[None],
+                    kinematics.X_PJ,
+                    kinematics.X_AS[-1:],
+                ]
+            ),
+            slots=slots,
+            frames=np.column_stack(
+                [np.array(X_AF).reshape(-1, 12), np.array(kinds, dtype=float)]
+            ),
+            rows=np.arange(len(kinds)) if rows is None else np.array(rows, int),
         )
 
     def calc(
@@ -307,22 +327,15 @@ class TwinPoses:
             X_WF: Where to write, if given.
         """
         if X_WF is None:
-            X_WF = np.empty_like(self.X_AF)
-        kinematics = self.kinematics
-        layout = self.layout
+            X_WF = np.empty((len(self.frames), 3, 4))
         calc_twin_poses(
-            kinematics.X_WB,
-            kinematics.X_PJ,
-            kinematics.X_AS[-1],
-            self.kind,
-            self.X_AF,
-            layout.pick_slots,
-            layout.place_slots,
-            layout.pick_yaw,
-            layout.place_yaw,
+            self.robot,
+            self.slots,
+            self.frames,
+            self.rows,
             q,
-            round(products_placed),
-            gripper_closed > 0.5,
+            float(gripper_closed),
+            float(products_placed),
             X_WF,
         )
         return X_WF

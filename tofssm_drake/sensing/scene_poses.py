@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 
+from numba import njit
 import numpy as np
 from pydrake.common.value import Value
 from pydrake.geometry import FrameId
@@ -52,10 +53,13 @@ class ScenePoses(LeafSystem):
         row = {frame_id: i for i, frame_id in enumerate(caster.frame_ids)}
         self._human_rows = np.array([row[f] for f in human_frame_ids], int)
         others = [f for f in caster.frame_ids if f not in set(human_frame_ids)]
-        self._other_rows = np.array([row[f] for f in others], int)
         self._poses = TwinPoses.from_plant(
-            plant, layout=layout, frame_ids=others
+            plant,
+            layout=layout,
+            frame_ids=others,
+            rows=[row[f] for f in others],
         )
+        self._num_frames = len(row)
         self._position = self.DeclareVectorInputPort("position_measured", 6)
         self._gripper_closed = self.DeclareVectorInputPort("gripper_closed", 1)
         self._products_placed = self.DeclareVectorInputPort(
@@ -72,15 +76,22 @@ class ScenePoses(LeafSystem):
         )
 
     def _calc_frame_poses(self, context: Context, output):
-        X_WF = np.empty((len(self._other_rows) + len(self._human_rows), 3, 4))
-        X_WF[self._other_rows] = self._poses.calc(
+        X_WF = np.empty((self._num_frames, 3, 4))
+        self._poses.calc(
             self._position.Eval(context),
             self._gripper_closed.Eval(context)[0],
             self._products_placed.Eval(context)[0],
+            X_WF,
         )
         if len(self._human_rows):
-            X_WH = np.empty((len(self._human_rows), 3, 4))
             ends = self._skeleton.Eval(context).reshape(-1, 2, 3)
-            calc_capsule_poses(ends, X_WH)
-            X_WF[self._human_rows] = X_WH
+            _write_capsule_poses(ends, self._human_rows, X_WF)
         output.set_value(X_WF)
+
+
+@njit(cache=True)
+def _write_capsule_poses(ends, rows, X_WF):
+    poses = np.empty((ends.shape[0], 3, 4))
+    calc_capsule_poses(ends, poses)
+    for i in range(rows.shape[0]):
+        X_WF[rows[i]] = poses[i]
