@@ -323,26 +323,14 @@ def _report_motion(samples, table, n, motion):
 
 
 @njit(cache=True)
-def _classify(
-    samples,
-    time,
-    tolerance,
-    min_range,
-    max_range,
-    max_age,
-    wider,
-    reading,
-    unsettled,
-):
+def _classify(samples, time, limits, wider, reading, unsettled):
     """Tells what each sample means by what was seen of the robot so far.
 
     Args:
         samples: the table, (9, N); gets the distance to reckon with.
         time: now, s.
-        tolerance: see `classify_readings`, and so on.
-        min_range: likewise.
-        max_range: likewise.
-        max_age: likewise.
+        limits: tolerance, min_range, max_range and max_age of
+            `classify_readings`.
         wider: whether only a look at another time can tell more, which it
             can where the robot moves.
         reading: result, (N,).
@@ -358,10 +346,10 @@ def _classify(
         time - samples[_SENSOR_TIME],
         samples[_NEAREST],
         samples[_FARTHEST],
-        tolerance,
-        min_range,
-        max_range,
-        max_age,
+        limits[0],
+        limits[1],
+        limits[2],
+        limits[3],
     )
     reading[:] = result
     some = False
@@ -375,17 +363,32 @@ def _classify(
     return some
 
 
+# The mask in three steps of compiled code, since each call of one costs
+# microseconds: `_begin`, then `_begin_look` and `_end_look` for each look at
+# the twin.
+
+
 @njit(cache=True)
-def _take_one_time(samples, rest, which):
+def _begin(samples, table, n, time, limits, motion, reading, unsettled):
+    """Fills in motion and readings before any look; returns `_classify`'s."""
+    _report_motion(samples, table, n, motion)
+    return _classify(samples, time, limits, False, reading, unsettled)
+
+
+@njit(cache=True)
+def _begin_look(samples, table, shift, rest, which):
     """Takes the sensors that sampled at one time out of the rest.
 
     Args:
         samples: the table, (9, N).
+        table: the robot's reports, see `make_robot_history`.
+        shift: how much later than at the sample to look at the robot, s.
         rest: the sensors to choose from, (N,); the chosen ones are taken out.
         which: result, those that are chosen, (N,).
 
     Returns:
-        Their time, s, and whether there is still a rest.
+        What the robot reported for their time, and whether there is still a
+        rest.
     """
     time = np.nan
     more = False
@@ -397,17 +400,24 @@ def _take_one_time(samples, rest, which):
             which[i] = samples[_SENSOR_TIME, i] == time
             rest[i] = not which[i]
             more = more or rest[i]
-    return time, more
+    return interpolate_reports(table, time + shift), more
 
 
 @njit(cache=True)
-def _widen_interval(samples, which, self_distance):
-    """Lets the self-hits of some sensors count, (N, k) m, inf for none."""
+def _end_look(
+    samples, which, self_distance, more, time, limits, reading, unsettled
+):
+    """Lets the self-hits of some sensors count, (N, k) m, inf for none.
+
+    Returns:
+        Whether any sensor is unsettled once there is no rest to look at.
+    """
     nearest, farthest = calc_self_interval(self_distance)
     for i in range(which.shape[0]):
         if which[i]:
             samples[_NEAREST, i] = min(samples[_NEAREST, i], nearest[i])
             samples[_FARTHEST, i] = max(samples[_FARTHEST, i], farthest[i])
+    return more or _classify(samples, time, limits, True, reading, unsettled)
 
 
 def mask_scans(
@@ -458,38 +468,39 @@ def mask_scans(
     unsettled = np.empty(num_sensors, dtype=bool)
     which = np.empty(num_sensors, dtype=bool)
 
-    def classify(wider):
-        return _classify(
-            samples,
-            time,
-            config.tolerance,
-            config.min_range,
-            config.max_range,
-            config.max_age,
-            wider,
-            reading,
-            unsettled,
-        )
-
-    def look(shift):
-        more = True
-        while more:
-            sensor_time, more = _take_one_time(samples, unsettled, which)
-            report = interpolate_reports(table, sensor_time + shift)
-            X_WF = twin.calc(
-                report[_POSITION],
-                report[_GRIPPER_CLOSED],
-                report[_PRODUCTS_PLACED],
-            )
-            self_distance, _ = caster.cast_bundles(bundles, X_WF, which)
-            _widen_interval(samples, which, self_distance)
-
-    if classify(False) and config.enabled:
-        shifts = (0.0, -config.time_margin, config.time_margin)
-        for shift in shifts if config.time_margin > 0.0 else (0.0,):
-            look(shift)
-            if not classify(True):
-                break
+    limits = (
+        config.tolerance,
+        config.min_range,
+        config.max_range,
+        config.max_age,
+    )
+    margin = config.time_margin
+    is_unsettled = _begin(
+        samples, table, n, time, limits, motion, reading, unsettled
+    )
+    if config.enabled:
+        for shift in (0.0, -margin, margin) if margin > 0.0 else (0.0,):
+            more = is_unsettled
+            while more:
+                report, more = _begin_look(
+                    samples, table, shift, unsettled, which
+                )
+                X_WF = twin.calc(
+                    report[_POSITION],
+                    report[_GRIPPER_CLOSED],
+                    report[_PRODUCTS_PLACED],
+                )
+                self_distance, _ = caster.cast_bundles(bundles, X_WF, which)
+                is_unsettled = _end_look(
+                    samples,
+                    which,
+                    self_distance,
+                    more,
+                    time,
+                    limits,
+                    reading,
+                    unsettled,
+                )
 
     # The messages are views of these.
     for array in (samples, motion, reading):
