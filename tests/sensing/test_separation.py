@@ -434,7 +434,9 @@ class TestTofSeparation(unittest.TestCase):
         for i, ring in enumerate(RINGS):
             self.fix(
                 ring,
-                make_masked_scan([0.5 + i] * 8, [VALID] * 8, time=1.0 + i),
+                make_masked_scan(
+                    [0.5 + i] * 8, [VALID] * 8, time=1.0 + i, q=[0.1 * i] * 6
+                ),
             )
         before = self.eval()
         np.testing.assert_allclose(before.distance, [0.58, 1.57, 2.56])
@@ -443,7 +445,9 @@ class TestTofSeparation(unittest.TestCase):
 
         self.fix(
             "elbow",
-            make_masked_scan([0.3] * 8, [VALID] * 8, time=4.0, sequence=7),
+            make_masked_scan(
+                [0.3] * 8, [VALID] * 8, time=4.0, sequence=7, q=[0.4] * 6
+            ),
         )
         after = self.eval()
         self.assertEqual(self.kinematics.calls, 4)

@@ -137,9 +137,11 @@ class TestCalcSafetyIndex(unittest.TestCase):
 
     def step(self, separation, robot_state):
         index = self.calc(separation)
-        self.state = mut.calc_next_filter_state(
-            state=self.state, index=index, robot_state=robot_state
+        before = self.state.copy()
+        changed = mut.advance_filter_state(
+            self.state, index.sequence, index.dsi, robot_state
         )
+        self.assertEqual(changed, (self.state != before).any())
         return index
 
     def test_nothing_yet(self):

@@ -181,16 +181,14 @@ def make_robot_history(length: int) -> np.ndarray:
 def push_report(
     table, time, position, velocity, gripper_closed, products_placed
 ):
-    """Returns a history's table with a report added and the oldest dropped."""
-    result = np.empty_like(table)
-    result[:-1] = table[1:]
-    last = result[-1]
+    """Adds a report to a history's table, (h, 15), and drops the oldest."""
+    table[:-1] = table[1:]
+    last = table[-1]
     last[0] = time
     last[1:7] = position
     last[7:13] = velocity
     last[13] = gripper_closed
     last[14] = products_placed
-    return result
 
 
 @njit(cache=True)
@@ -664,11 +662,10 @@ class OcclusionMask(LeafSystem):
         self.DeclarePeriodicUnrestrictedUpdateEvent(period, 0.0, self._mask)
         self.DeclarePeriodicDiscreteUpdateEvent(period, 0.0, self._remember)
 
-    def _push_report(self, context: Context) -> np.ndarray:
-        """Returns the history with the present report added."""
-        history = context.get_discrete_state(self._history).value()
-        return push_report(
-            history.reshape(-1, _COLUMNS),
+    def _push_report(self, context: Context, table: np.ndarray) -> None:
+        """Adds what the robot reports now to a history's table."""
+        push_report(
+            table,
             context.get_time(),
             self._position.Eval(context),
             self._velocity.Eval(context),
@@ -677,9 +674,8 @@ class OcclusionMask(LeafSystem):
         )
 
     def _remember(self, context: Context, discrete_state: DiscreteValues):
-        discrete_state.set_value(
-            self._history, self._push_report(context).ravel()
-        )
+        history = discrete_state.get_mutable_value(self._history)
+        self._push_report(context, history.reshape(-1, _COLUMNS))
 
     def _mask(self, context: Context, state: State):
         values = [
@@ -694,6 +690,9 @@ class OcclusionMask(LeafSystem):
         ]
         if not any(is_new):
             return EventStatus.DidNothing()
+        history = context.get_discrete_state(self._history).value()
+        table = history.reshape(-1, _COLUMNS).copy()
+        self._push_report(context, table)
         masked_scans = mask_scans(
             self._config,
             scans=[
@@ -702,7 +701,7 @@ class OcclusionMask(LeafSystem):
             ],
             before=before,
             time=context.get_time(),
-            table=self._push_report(context),
+            table=table,
             caster=self._caster,
             bundles=self._bundles,
             twin=self._twin,

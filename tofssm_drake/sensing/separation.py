@@ -8,7 +8,7 @@ from typing import Protocol
 from numba import njit
 import numpy as np
 from pydrake.common.value import Value
-from pydrake.systems.framework import Context, LeafSystem, ValueProducer
+from pydrake.systems.framework import Context, LeafSystem
 
 from tofssm_drake.errors import require
 from tofssm_drake.messages import (
@@ -315,23 +315,39 @@ def calc_link_row(
     )
 
 
-def make_separation(rows: np.ndarray, name: tuple[str, ...]) -> Separation:
-    """Makes the message from the links' rows, (m, 15)."""
+def make_separation(
+    rows: np.ndarray,
+    name: tuple[str, ...],
+    masked_scans: tuple[MaskedScan, ...] = (),
+) -> Separation:
+    """Makes the message from the links' rows, (m, 15).
+
+    Args:
+        rows: As `calc_link_row` gives them.
+        name: The m links.
+        masked_scans: What the rows were made of, to be found again.
+    """
     # By columns, so that each field is contiguous.
     columns = rows.T.copy()
     whole = columns[_REALS:].astype(int)
-    return Separation(
+    direction = columns[_DIRECTION:_REALS].T.copy()
+    count = whole[_COUNT - _REALS :].T.copy()
+    for array in (rows, columns, whole, direction, count):
+        array.flags.writeable = False
+    return _TofSeparation.of_read_only(
         name=name,
         sequence=whole[_SEQUENCE - _REALS],
         time=columns[_TIME],
         distance=columns[_DISTANCE],
         sensor=whole[_SENSOR - _REALS],
-        direction=rows[:, _DIRECTION:_REALS].copy(),
+        direction=direction,
         link_speed=columns[_LINK_SPEED],
         k_l=columns[_K_L],
         k_o=columns[_K_O],
         health=whole[_HEALTH - _REALS],
-        count=whole[_COUNT - _REALS :].T.copy(),
+        count=count,
+        rows=rows,
+        masked_scans=masked_scans,
     )
 
 
@@ -353,15 +369,27 @@ def _make_empty_row() -> np.ndarray:
 
 
 @dc.dataclass(frozen=True, eq=False, kw_only=True)
-class _Result:
-    """A separation and what it was made of."""
+class _TofSeparation(Separation):
+    """A separation that knows what it was made of."""
 
-    masked_scans: tuple[MaskedScan, ...]
     rows: np.ndarray
-    separation: Separation
+    masked_scans: tuple[MaskedScan, ...]
 
-    def __deepcopy__(self, memo):
-        return self
+
+class _LastKinematics:
+    """Remembers the last result: rings mostly sample at the same time."""
+
+    def __init__(self, kinematics: LinkKinematics):
+        self._kinematics = kinematics
+        self._last = None, None
+
+    def calc(self, q, qd):
+        key = q.tobytes() + qd.tobytes()
+        last_key, result = self._last
+        if key != last_key:
+            result = self._kinematics.calc(q, qd)
+            self._last = key, result
+        return result
 
 
 class TofSeparation(LeafSystem):
@@ -411,7 +439,7 @@ class TofSeparation(LeafSystem):
             raise ValueError(f"k_max: {k_max} is no speed above 0")
         self._k_max = k_max
         self._config = config
-        self._kinematics = kinematics
+        self._kinematics = _LastKinematics(kinematics)
         self._geometries = tuple(geometries)
         self._name = tuple(name)
         if len(self._geometries) != len(self._name):
@@ -426,35 +454,26 @@ class TofSeparation(LeafSystem):
             for ring in self._name
         ]
         prerequisites = {port.ticket() for port in self._masked_scans}
-        m = len(self._name)
-        self._result = self.DeclareCacheEntry(
-            "result",
-            ValueProducer(
-                allocate=Value(
-                    _Result(
-                        masked_scans=(MaskedScan(),) * m,
-                        rows=np.tile(_make_empty_row(), (m, 1)),
-                        separation=make_empty_separation(self._name),
-                    )
-                ).Clone,
-                calc=self._calc_result,
-            ),
-            prerequisites_of_calc=prerequisites,
-        )
         self.DeclareAbstractOutputPort(
             "separation",
-            Value(make_empty_separation(self._name)).Clone,
+            Value(
+                make_separation(
+                    np.tile(_make_empty_row(), (len(self._name), 1)),
+                    self._name,
+                    (MaskedScan(),) * len(self._name),
+                )
+            ).Clone,
             self._calc_separation,
             prerequisites_of_calc=prerequisites,
         )
 
-    def _calc_result(self, context: Context, cached):
+    def _calc_separation(self, context: Context, output):
         """Calculates the rows of the links whose ring has a new scan.
 
-        The masks' state changes as a whole. What the entry held before tells
+        The masks' state changes as a whole. What the port held before tells
         which scans are the same; the value still depends on the inputs only.
         """
-        before = cached.get_value()
+        before = output.get_value()
         masked_scans = tuple(port.Eval(context) for port in self._masked_scans)
         rows = None
         for link, masked_scan in enumerate(masked_scans):
@@ -474,13 +493,4 @@ class TofSeparation(LeafSystem):
                     self._k_max,
                 )
         if rows is not None:
-            cached.set_value(
-                _Result(
-                    masked_scans=masked_scans,
-                    rows=rows,
-                    separation=make_separation(rows, self._name),
-                )
-            )
-
-    def _calc_separation(self, context: Context, output):
-        output.set_value(self._result.Eval(context).separation)
+            output.set_value(make_separation(rows, self._name, masked_scans))

@@ -109,18 +109,6 @@ def _calc_index(c, state, sequence, distance, link_speed, k, health, index):
         index[8, i] = health[i]
 
 
-@njit(cache=True)
-def _calc_next_state(state, sequence, dsi, robot_state, result):
-    m = len(sequence)
-    for i in range(m):
-        is_new = sequence[i] != state[i]
-        result[i] = sequence[i]
-        result[m + i] = dsi[i]
-        result[2 * m + i] = state[3 * m] if is_new else state[2 * m + i]
-    is_known = robot_state == _REDUCED or robot_state == _NORMAL
-    result[3 * m] = robot_state if is_known else _STOP
-
-
 def make_initial_filter_state(m: int) -> np.ndarray:
     """Returns the filter's state before any sample, shape (3 m + 1,).
 
@@ -227,20 +215,37 @@ def is_stored(
     )
 
 
-def calc_next_filter_state(
-    *, state: np.ndarray, index: SafetyIndex, robot_state: float
-) -> np.ndarray:
-    """Returns the filter's state after a control tick, shape (3 m + 1,).
+@njit(cache=True)
+def advance_filter_state(state, sequence, dsi, robot_state):
+    """Takes the filter's state over a control tick.
 
     Args:
-        state: As before the tick.
-        index: What calc_safety_index() made of it.
+        state: As make_initial_filter_state() tells, shape (3 m + 1,);
+            overwritten.
+        sequence: Of the index that calc_safety_index() made of it, (m,).
+        dsi: Of the same, (m,).
         robot_state: psi that followed from the index; not a number of
             `RobotState`: STOP.
+
+    Returns:
+        Whether anything is new.
     """
-    result = np.empty(len(state))
-    _calc_next_state(state, index.sequence, index.dsi, robot_state, result)
-    return result
+    m = len(sequence)
+    changed = False
+    for i in range(m):
+        if sequence[i] != state[i]:
+            state[i] = sequence[i]
+            state[2 * m + i] = state[3 * m]
+            changed = True
+        if dsi[i] != state[m + i]:
+            state[m + i] = dsi[i]
+            changed = True
+    is_known = robot_state == _REDUCED or robot_state == _NORMAL
+    psi = robot_state if is_known else _STOP
+    if psi != state[3 * m]:
+        state[3 * m] = psi
+        changed = True
+    return changed
 
 
 class DsiFilter(LeafSystem):
@@ -322,14 +327,13 @@ class DsiFilter(LeafSystem):
         )
 
     def _update(self, context, discrete_state):
-        state = context.get_discrete_state(self._state).value()
-        next_state = calc_next_filter_state(
-            state=state,
-            index=self._dsi.Eval(context),
-            robot_state=self._robot_state.Eval(context)[0],
-        )
-        # Nothing new: what depends on the state stays valid.
-        if next_state.tobytes() == state.tobytes():
-            return EventStatus.DidNothing()
-        discrete_state.set_value(self._state, next_state)
-        return EventStatus.Succeeded()
+        index = self._dsi.Eval(context)
+        # Where nothing is new, what depends on the state stays valid.
+        if advance_filter_state(
+            discrete_state.get_mutable_value(self._state),
+            index.sequence,
+            index.dsi,
+            self._robot_state.Eval(context)[0],
+        ):
+            return EventStatus.Succeeded()
+        return EventStatus.DidNothing()
