@@ -31,6 +31,10 @@ from tofssm_drake.sensing.tof_rings import TofRings, make_ring_bundles
 from tofssm_drake.sensing.vl53l1x import SensorErrors, draw_sensor_errors
 
 
+# Noise is drawn for so many scans at a time.
+_NOISE_SCANS = 16
+
+
 @dc.dataclass(frozen=True, eq=False, kw_only=True)
 class Station:
     """A station's Diagram and what one has to know to read its ports."""
@@ -245,6 +249,7 @@ def _add_rings(builder, scenario, scene_graph, plant, caster):
                     gain=np.concatenate([e.gain for e in errors]),
                 ),
                 phase=phase,
+                noise_scans=_NOISE_SCANS,
                 name=names,
             ),
         )
@@ -253,7 +258,7 @@ def _add_rings(builder, scenario, scene_graph, plant, caster):
             RandomSource(
                 distribution=RandomDistribution.kGaussian,
                 num_outputs=rings.GetInputPort("noise").size(),
-                sampling_interval_sec=scenario.rings.period,
+                sampling_interval_sec=_NOISE_SCANS * scenario.rings.period,
             ),
         )
         builder.Connect(noise.get_output_port(), rings.GetInputPort("noise"))

@@ -111,6 +111,7 @@ def make_cell(config, *, phase=0.0, errors=None, noise=0.0, housing=False):
             bundles=bundles,
             errors=errors,
             phase=phase,
+            noise_scans=np.size(noise),
             name=("base",),
         ),
     )
@@ -119,7 +120,7 @@ def make_cell(config, *, phase=0.0, errors=None, noise=0.0, housing=False):
     )
     if noise is not None:
         source = builder.AddSystem(
-            ConstantVectorSource(np.full(8 * NOISE_DRAWS, noise))
+            ConstantVectorSource(np.repeat(noise, 8 * NOISE_DRAWS))
         )
         builder.Connect(source.get_output_port(), ring.GetInputPort("noise"))
     builder.ExportOutput(ring.GetOutputPort("scan_base"), "scan")
@@ -449,6 +450,27 @@ class TestTofRings(unittest.TestCase):
             make_cell(config, errors=errors, noise=1.0), [0.04]
         )[0]
         self.assertAlmostEqual(noisy.distance[0], 1.000, delta=1e-9)
+
+    def test_scans_take_their_noise_in_turn(self):
+        scans = self.run_until(
+            make_cell(mut.TofRingConfig(), noise=[0.0, 1.0, 0.5]),
+            0.024 * np.arange(2, 9),
+        )
+        still = self.run_until(
+            make_cell(mut.TofRingConfig(), noise=0.0), 0.024 * np.arange(2, 9)
+        )
+        np.testing.assert_allclose(
+            [
+                (a.distance[0] - b.distance[0]) * 1000.0
+                for a, b in zip(scans, still, strict=True)
+            ],
+            [0.0, 2.0, 1.0, 0.0, 2.0, 1.0, 0.0],
+            atol=1e-9,
+        )
+
+    def test_noise_is_for_one_scan_at_least(self):
+        with self.assertRaisesRegex(ValueError, "noise_scans"):
+            make_cell(mut.TofRingConfig(), noise=[])
 
     def test_noise_must_be_connected_unless_ideal(self):
         with self.assertRaisesRegex(RuntimeError, "noise"):

@@ -145,9 +145,10 @@ class TofRings(LeafSystem):
 
     A port holds an empty scan (sequence -1) before the first one.
 
-    The port `noise` takes standard normal numbers, NOISE_DRAWS per sensor,
-    which have to change at least once a period. It may be left unconnected
-    if the sensors are ideal. Constant errors are an argument.
+    The port `noise` takes standard normal numbers, NOISE_DRAWS per sensor
+    for each of `noise_scans` scans in turn, all of which have to change once
+    in so many periods, the first time at 0 s. It may be left unconnected if
+    the sensors are ideal. Constant errors are an argument.
 
     The device's jitter of the period (1 %) is not simulated.
     """
@@ -160,6 +161,7 @@ class TofRings(LeafSystem):
         bundles: RayBundles,
         errors: SensorErrors | None = None,
         phase: float = 0.0,
+        noise_scans: int = 1,
         name: tuple[str, ...] = RINGS,
     ):
         """Constructs the system.
@@ -172,6 +174,9 @@ class TofRings(LeafSystem):
             errors: the sensors' constant errors; None: there are none.
             phase: time of the first sample, s, 0 for one period; tells the
                 rings' turns apart.
+            noise_scans: for how many scans the port `noise` has numbers. Of
+                a source that changes seldom the rest of a Diagram notices
+                less: its event makes Drake copy all State.
             name: the rings, in the order of `bundles`.
 
         Raises:
@@ -188,6 +193,8 @@ class TofRings(LeafSystem):
         n, rest = divmod(num_sensors, len(name))
         if n == 0 or rest:
             raise ValueError(f"bundles: {num_sensors} for {len(name)} rings")
+        if noise_scans < 1:
+            raise ValueError(f"noise_scans: {noise_scans} is not 1 or more")
         if errors is None:
             errors = make_perfect_sensor_errors(num_sensors)
         if not errors.bias.shape == errors.gain.shape == (num_sensors,):
@@ -197,6 +204,7 @@ class TofRings(LeafSystem):
         self._errors = errors
         self._parameters = pack_config(config.sensor)
         self._latency = config.latency
+        self._noise_scans = noise_scans
         self._rows = [slice(n * i, n * i + n) for i in range(len(name))]
         self._no_noise = (
             np.zeros((num_sensors, NOISE_DRAWS))
@@ -211,7 +219,9 @@ class TofRings(LeafSystem):
             "frame_poses", Value(np.zeros((len(caster.frame_ids), 3, 4)))
         )
         self._noise = self.DeclareVectorInputPort(
-            "noise", num_sensors * NOISE_DRAWS, RandomDistribution.kGaussian
+            "noise",
+            noise_scans * num_sensors * NOISE_DRAWS,
+            RandomDistribution.kGaussian,
         )
         self._scans = [
             self.DeclareAbstractState(Value(RingScan())) for _ in name
@@ -269,7 +279,9 @@ class TofRings(LeafSystem):
         ray_distance, _ = self._caster.cast_bundles(self._bundles, X_WF)
         noise = self._no_noise
         if noise is None:
-            noise = self._noise.Eval(context).reshape(-1, NOISE_DRAWS)
+            noise = self._noise.Eval(context).reshape(
+                self._noise_scans, -1, NOISE_DRAWS
+            )[sequence % self._noise_scans]
         distance, status = measure_packed(
             self._parameters,
             ray_distance,
