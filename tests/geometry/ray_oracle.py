@@ -17,6 +17,7 @@ from pydrake.geometry import (
     GeometryFrame,
     GeometryInstance,
     HalfSpace,
+    IllustrationProperties,
     PerceptionProperties,
     ProximityProperties,
     Role,
@@ -191,6 +192,8 @@ class Scene:
             instance.set_perception_properties(PerceptionProperties())
         elif role == Role.kProximity:
             instance.set_proximity_properties(ProximityProperties())
+        elif role == Role.kIllustration:
+            instance.set_illustration_properties(IllustrationProperties())
         if frame_id is None:
             geometry_id = self.scene_graph.RegisterAnchoredGeometry(
                 self.source_id, instance

@@ -5,8 +5,11 @@ from pydrake.geometry import (
     Box,
     Capsule,
     Cylinder,
+    GeometryInstance,
     HalfSpace,
     MeshcatCone,
+    ProximityProperties,
+    QueryObject,
     Role,
     Sphere,
 )
@@ -264,6 +267,10 @@ class TestBundles(unittest.TestCase):
             (dict(max_range=-1.0), "max_range"),
             (dict(X_FS=[np.full((3, 4), np.nan)]), "X_FS"),
             (dict(X_FS=[np.eye(4)]), "X_FS"),
+            (dict(X_FS=[]), "X_FS"),
+            (dict(X_FS=[2 * np.eye(3, 4)]), "X_FS"),
+            (dict(X_FS=[np.diag([1.0, 1, -1, 1])[:3]]), "X_FS"),
+            (dict(X_FS=[np.eye(3, 4)[[0, 1, 1]]]), "X_FS"),
             (dict(frame_id=self.scene.frame_ids), "frame_id: 2 frames for 1"),
             (dict(excluded=[[], []]), "excluded: 2 collections for 1"),
         ):
@@ -316,11 +323,24 @@ class TestBundles(unittest.TestCase):
         X_WF = self.dut.poses_from_query_object(self.scene.query_object())
         with self.assertRaisesRegex(ValueError, "X_WF: shape"):
             self.dut.cast_bundles(bundles, X_WF[:-1])
-        X_WF[1, 2, 3] = np.nan
-        with self.assertRaisesRegex(ValueError, "not finite"):
-            self.dut.cast_bundles(bundles, X_WF)
-        with self.assertRaisesRegex(ValueError, "not finite"):
-            self.dut.cast(X_WF, [[0.0, 0, 0]], [[1.0, 0, 0]])
+        good = X_WF[1].copy()
+        for bad in (
+            np.column_stack([good[:, :3], [0.0, 0.0, np.nan]]),
+            np.column_stack([good[:, :3], [0.0, np.inf, 0.0]]),
+            np.full((3, 4), np.nan),
+            np.zeros((3, 4)),
+            good * 1.001,
+            good * [[-1.0], [1.0], [1.0]],  # A mirror.
+            good + np.eye(3, 4, 1) * 1e-3,  # A shear.
+        ):
+            X_WF[1] = bad
+            with self.assertRaisesRegex(ValueError, "not finite or no rot"):
+                self.dut.cast_bundles(bundles, X_WF)
+            with self.assertRaisesRegex(ValueError, "not finite or no rot"):
+                self.dut.cast(X_WF, [[0.0, 0, 0]], [[1.0, 0, 0]])
+        # What a product of many rotations has lost is not much.
+        X_WF[1] = good * (1.0 + 1e-9)
+        self.dut.cast_bundles(bundles, X_WF)
 
 
 class TestNormals(unittest.TestCase):
@@ -393,6 +413,9 @@ class TestNormals(unittest.TestCase):
         three = np.zeros((3, 3))
         with self.assertRaisesRegex(ValueError, "do not belong together"):
             dut.calc_normals(X_WF, three, three, np.zeros(2), np.zeros(2))
+        for bad in (0, -2):
+            with self.assertRaisesRegex(ValueError, "geometry_index"):
+                dut.calc_normals(X_WF, three, three, np.ones(3), [-1, bad, -1])
 
 
 class TestRayCaster(unittest.TestCase):
@@ -403,12 +426,16 @@ class TestRayCaster(unittest.TestCase):
         touched = scene.add(
             Sphere(0.1), RigidTransform([0.5, 0, 0]), role=Role.kProximity
         )
+        scene.add(
+            Sphere(0.1), RigidTransform([0.4, 0, 0]), role=Role.kIllustration
+        )
         ray = ([[0.0, 0, 0]], [[1.0, 0, 0]])
         query_object = scene.query_object()
         for kwargs, expected in (
             (dict(), 0.9),
             (dict(geometry_ids=[other]), 1.9),
             (dict(role=Role.kProximity), 0.4),
+            (dict(role=Role.kIllustration), 0.3),
             (dict(geometry_ids=[]), np.inf),
         ):
             dut = mut.RayCaster(scene.inspector, **kwargs)
@@ -421,6 +448,8 @@ class TestRayCaster(unittest.TestCase):
         )
         with self.assertRaisesRegex(ValueError, "shape_2.*perception"):
             mut.RayCaster(scene.inspector, geometry_ids=[touched])
+        with self.assertRaisesRegex(ValueError, "role: kUnassigned"):
+            mut.RayCaster(scene.inspector, role=Role.kUnassigned)
 
     def test_unsupported_shape_is_named(self):
         scene = oracle.Scene()
@@ -428,8 +457,59 @@ class TestRayCaster(unittest.TestCase):
         with self.assertRaisesRegex(UserError, "horn.*MeshcatCone"):
             mut.RayCaster(scene.inspector)
 
+    def test_deformable_geometry_is_named(self):
+        scene = oracle.Scene(Role.kProximity)
+        seen = scene.add(Sphere(0.1))
+        jelly = GeometryInstance(RigidTransform(), Sphere(0.1), "jelly")
+        jelly.set_proximity_properties(ProximityProperties())
+        scene.scene_graph.RegisterDeformableGeometry(
+            scene.source_id, scene.scene_graph.world_frame_id(), jelly, 0.1
+        )
+        with self.assertRaisesRegex(UserError, "'jelly': a deformable"):
+            mut.RayCaster(scene.inspector, role=Role.kProximity)
+        dut = mut.RayCaster(
+            scene.inspector, role=Role.kProximity, geometry_ids=[seen]
+        )
+        self.assertEqual(dut.geometry_ids, [seen])
+
+    def test_geometry_ids_of_hits(self):
+        scene = oracle.Scene()
+        ids = [
+            scene.add(Sphere(0.1), RigidTransform([0, y, 0])) for y in (0, 1)
+        ]
+        dut = mut.RayCaster(scene.inspector)
+        p_WR = [[-1.0, 1, 0], [-1, 0, 0], [-1, 2, 0], [-1, 1, 0]]
+        _, index = dut.cast(scene.query_object(), p_WR, [[1.0, 0, 0]] * 4)
+        expected = [ids[1], ids[0], None, ids[1]]
+        actual = dut.get_geometry_ids(index.reshape(2, 2))
+        self.assertEqual(actual.shape, (2, 2))
+        self.assertEqual(actual.ravel().tolist(), expected)
+        for bad in ([2], [-2]):
+            with self.assertRaisesRegex(ValueError, "geometry_index"):
+                dut.get_geometry_ids(np.array(bad))
+
+    def test_query_object_of_nobody(self):
+        """Drake's own inspector of it ends the process."""
+        for moving in (False, True):
+            scene = oracle.Scene()
+            scene.add(Sphere(0.1), None, scene.add_frame() if moving else None)
+            dut = mut.RayCaster(scene.inspector)
+            with self.assertRaisesRegex(RuntimeError, "invalid QueryObject"):
+                dut.poses_from_query_object(QueryObject())
+
+    def test_query_object_of_another_scene_graph(self):
+        for moving in (False, True):
+            scenes = [oracle.Scene() for _ in range(2)]
+            for scene in scenes:
+                scene.add(
+                    Sphere(0.1), None, scene.add_frame() if moving else None
+                )
+            dut = mut.RayCaster(scenes[0].inspector)
+            with self.assertRaisesRegex(RuntimeError, "removed; make a new"):
+                dut.poses_from_query_object(scenes[1].query_object())
+
     def test_geometry_that_came_or_went_is_noticed(self):
-        for role in (Role.kPerception, Role.kProximity):
+        for role in (Role.kPerception, Role.kProximity, Role.kIllustration):
             with self.subTest(role=role):
                 scene = oracle.Scene(role)
                 scene.add(Sphere(0.1))
