@@ -21,67 +21,8 @@ from tofssm_drake.geometry.fan import make_cone_fan
 import tofssm_drake.geometry.ray_caster as mut
 
 
-def calc_slope(scene, caster, p_WR, n_WR, distance, index):
-    """Returns how steeply rays meet the surface: 1 square, 0 tangent."""
-    shapes, X_WG = scene.shapes_in_order(caster.geometry_ids)
-    slope = np.ones(len(p_WR))
-    for i, (shape, X) in enumerate(zip(shapes, X_WG, strict=True)):
-        rows = np.flatnonzero((index == i) & (distance > 0))
-        if len(rows) == 0:
-            continue
-        p = X.inverse() @ (p_WR[rows] + distance[rows, None] * n_WR[rows]).T
-        d = X.rotation().inverse() @ n_WR[rows].T
-        normal = calc_normal(shape, p.T)
-        slope[rows] = np.abs((normal * d.T).sum(-1))
-    return slope
-
-
-def calc_normal(shape, p):
-    """Returns outward normals at points on a shape, in G."""
-    if isinstance(shape, Sphere):
-        n = p
-    elif isinstance(shape, Capsule):
-        half = shape.length() / 2
-        n = p - np.clip(p[:, 2:], -half, half) * [0, 0, 1]
-    elif isinstance(shape, Cylinder):
-        side = np.linalg.norm(p[:, :2], axis=1) - shape.radius()
-        end = np.abs(p[:, 2]) - shape.length() / 2
-        n = np.where(
-            (side > end)[:, None], p * [1, 1, 0], np.sign(p) * [0, 0, 1]
-        )
-    elif isinstance(shape, Box):
-        excess = np.abs(p) - np.asarray(shape.size()) / 2
-        n = np.eye(3)[np.argmax(excess, axis=1)] * np.sign(p)
-    elif isinstance(shape, HalfSpace):
-        n = np.tile([0.0, 0.0, 1.0], (len(p), 1))
-    else:
-        n = p / np.array([shape.a(), shape.b(), shape.c()]) ** 2
-    return n / np.linalg.norm(n, axis=1, keepdims=True)
-
-
-def assert_same_hits(scene, caster, p_WR, n_WR, distance, index, expected):
-    """Distances agree to 1e-12, but where the ray only grazes.
-
-    There the distance is as uncertain as rounding over the slope, and hit or
-    miss may differ.
-    """
-    want, want_index = expected
-    want = want.astype(float)
-    slope = np.minimum(
-        calc_slope(scene, caster, p_WR, n_WR, distance, index),
-        calc_slope(scene, caster, p_WR, n_WR, want, want_index),
-    )
-    clear = slope > 1e-3
-    np.testing.assert_allclose(distance[clear], want[clear], rtol=0, atol=1e-12)
-    np.testing.assert_array_equal(index[clear], want_index[clear])
-    grazing = ~clear & (slope > 1e-6)
-    error = np.abs(distance[grazing] - want[grazing])
-    np.testing.assert_array_less(error, 1e-14 / slope[grazing] + 1e-12)
-    assert clear.mean() > 0.95
-
-
 class TestExactness(unittest.TestCase):
-    def check(self, kinds, seed, rays=20_000):
+    def check(self, kinds, seed, rays=5000):
         rng = np.random.default_rng(seed)
         scene = oracle.make_random_scene(rng, kinds)
         dut = mut.RayCaster(scene.inspector)
@@ -94,43 +35,19 @@ class TestExactness(unittest.TestCase):
         expected = oracle.cast(
             *scene.shapes_in_order(dut.geometry_ids), p_WR, n_WR, 4.0
         )
-        assert_same_hits(scene, dut, p_WR, n_WR, distance, index, expected)
+        oracle.assert_same_hits(
+            scene, dut, p_WR, n_WR, distance, index, expected
+        )
 
     def test_each_kind_against_the_closed_form(self):
-        for seed, kind in enumerate(oracle.KINDS):
+        for seed, kind in enumerate(oracle.ALL_KINDS):
             with self.subTest(kind=kind):
                 self.check([kind] * (1 if kind == "half_space" else 4), seed)
 
     def test_all_kinds_against_the_closed_form(self):
-        for seed in range(5):
+        for seed in range(3):
             with self.subTest(seed=seed):
-                self.check(oracle.KINDS * 2, seed)
-
-    def test_hits_lie_on_the_surface_that_drake_knows(self):
-        rng = np.random.default_rng(7)
-        kinds = tuple(k for k in oracle.KINDS if k != "ellipsoid")
-        scene = oracle.make_random_scene(rng, kinds * 2, Role.kProximity)
-        dut = mut.RayCaster(scene.inspector, role=Role.kProximity)
-        query_object = scene.query_object()
-        p_WR = rng.uniform(-1.5, 1.5, (2000, 3))
-        n_WR = oracle.make_unit_vectors(rng, 2000)
-        distance, index = dut.cast(query_object, p_WR, n_WR)
-        seen = 0
-        for i in np.flatnonzero(np.isfinite(distance)):
-            p_WQ = p_WR[i] + distance[i] * n_WR[i]
-            by_id = {
-                r.id_G: r.distance
-                for r in query_object.ComputeSignedDistanceToPoint(p_WQ)
-            }
-            if distance[i] == 0.0:
-                self.assertLessEqual(min(by_id.values()), 1e-12)
-                continue
-            seen += 1
-            self.assertLess(
-                abs(by_id[dut.geometry_ids[index[i]]]), 1e-9, msg=f"ray {i}"
-            )
-            self.assertGreater(min(by_id.values()), -1e-9)
-        self.assertGreater(seen, 200)
+                self.check(oracle.ALL_KINDS * 2, seed)
 
 
 class TestBundles(unittest.TestCase):
@@ -172,7 +89,7 @@ class TestBundles(unittest.TestCase):
             n_WR,
             max_range,
         )
-        assert_same_hits(
+        oracle.assert_same_hits(
             self.scene,
             self.dut,
             p_WR,
@@ -361,7 +278,7 @@ class TestNormals(unittest.TestCase):
             X = X_WG[index[i]]
             shape = shapes[index[i]]
             p = X.inverse() @ (p_WR[i] + distance[i] * n_WR[i])
-            want = X.rotation() @ calc_normal(shape, p[None])[0]
+            want = X.rotation() @ oracle.calc_normal(shape, p[None])[0]
             np.testing.assert_allclose(normals[i], want, atol=1e-9)
             self.assertLess(normals[i] @ n_WR[i], 0)
             kinds.add(type(shape))
