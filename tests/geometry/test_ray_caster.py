@@ -102,7 +102,7 @@ class TestBundles(unittest.TestCase):
     def test_narrow_and_wide_fans_see_the_same_as_the_closed_form(self):
         for degrees in (1, 25, 120, 179):
             fan = make_cone_fan(np.deg2rad(degrees), 25)
-            for max_range in (0.5, 1.5, 4.0):
+            for max_range in (0.5, 4.0):
                 with self.subTest(degrees=degrees, max_range=max_range):
                     self.check(fan, max_range)
 

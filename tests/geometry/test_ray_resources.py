@@ -40,14 +40,15 @@ class Scanner:
         self.scene.query_object()
         port = self.scene.scene_graph.get_source_pose_port(self.scene.source_id)
         self.poses = port.FixValue(self.scene.context, Value(FramePoseVector()))
+        self.moves = [FramePoseVector() for _ in range(2)]
+        for poses in self.moves:
+            for frame_id in self.scene.frame_ids:
+                poses.set_value(frame_id, oracle.make_random_pose(rng))
         self.query_port = self.scene.scene_graph.get_query_output_port()
 
     def scan(self, i):
         """Moves the frames and casts; now and then single rays, too."""
-        poses = FramePoseVector()
-        for frame_id in self.scene.frame_ids:
-            poses.set_value(frame_id, RigidTransform([0.0, 0.0, 1e-6 * i]))
-        self.poses.GetMutableData().set_value(poses)
+        self.poses.GetMutableData().set_value(self.moves[i % 2])
         query_object = self.query_port.Eval(self.scene.context)
         X_WF = self.caster.poses_from_query_object(query_object)
         self.caster.cast_bundles(self.bundles, X_WF)
