@@ -89,6 +89,20 @@ class RingScan(_Frozen):
 
 
 @dc.dataclass(frozen=True, eq=False, kw_only=True)
+class LidarScan(_Frozen):
+    """What a planar lidar delivers, simulated or real; n is its rays."""
+
+    sequence: int = -1
+    """Counts scans from 0; -1 means that there was none yet."""
+    time: float = -np.inf
+    """When the rays were measured (middle of the turn), s."""
+    angles: np.ndarray = dc.field(default_factory=lambda: np.empty(0))
+    """Directions about the scanner's z axis from its x axis, rad, (n,)."""
+    ranges: np.ndarray = dc.field(default_factory=lambda: np.empty(0))
+    """Measured distances, m, (n,); inf: nothing within range."""
+
+
+@dc.dataclass(frozen=True, eq=False, kw_only=True)
 class MaskedScan(_Frozen):
     """A scan with what each reading means and where the robot was then."""
 

@@ -15,7 +15,13 @@ from tofssm_drake.diagrams.scenario import load_scenario
 from tofssm_drake.diagrams.station import make_station
 from tofssm_drake.diagrams.workcell import make_workcell
 from tofssm_drake.evaluation.ground_truth import GroundTruth, TruthModel
+from tofssm_drake.geometry.ray_caster import RayCaster
 import tofssm_drake.robot.sim_ur10 as sim_ur10
+from tofssm_drake.sensing.lidar_2d import (
+    Lidar2d,
+    Lidar2dConfig,
+    make_lidar_bundle,
+)
 
 _MARKER = ".. pydrake_system::"
 
@@ -88,7 +94,14 @@ class TestSystemBlocks(unittest.TestCase):
             inspector=station.scene_graph.model_inspector(),
             radii=station.avatar.radii,
         )
-        return [GroundTruth(model=model)]
+        lidar_config = Lidar2dConfig()
+        caster = RayCaster(station.scene_graph.model_inspector())
+        lidar = Lidar2d(
+            config=lidar_config,
+            caster=caster,
+            bundle=make_lidar_bundle(config=lidar_config, caster=caster),
+        )
+        return [GroundTruth(model=model), lidar]
 
     def test_every_public_system(self):
         seen = set()

@@ -11,12 +11,15 @@ from pydrake.common.value import Value
 from pydrake.geometry import (
     Box,
     Capsule,
+    Convex,
     Cylinder,
     Ellipsoid,
     FramePoseVector,
     GeometryFrame,
     GeometryInstance,
     HalfSpace,
+    IllustrationProperties,
+    Mesh,
     PerceptionProperties,
     ProximityProperties,
     Role,
@@ -24,6 +27,13 @@ from pydrake.geometry import (
     Sphere,
 )
 from pydrake.math import RigidTransform, RotationMatrix
+from solids import (
+    find_hull_planes,
+    make_mesh,
+    make_stone,
+    read_mesh,
+    write_obj,
+)
 
 LONG = np.longdouble
 
@@ -74,6 +84,43 @@ def solve_tube(p, d, radius):
     return solve_ball(p[..., :2], d[..., :2], [0, 0], radius)
 
 
+def solve_convex(shape, p, d):
+    planes = find_hull_planes(read_mesh(shape)[0]).astype(LONG)
+    gap = planes[:, 3] - p @ planes[:, :3].T
+    slope = d @ planes[:, :3].T
+    with np.errstate(all="ignore"):
+        t = gap / slope
+    parallel = np.where(gap >= 0, -LONG("inf"), LONG("inf"))
+    first = np.where(slope < 0, t, np.where(slope == 0, parallel, -np.inf))
+    return first.max(-1), np.where(slope > 0, t, np.inf).min(-1)
+
+
+def solve_mesh(shape, p, d):
+    """Cramer's rule for each triangle; an odd number of crossings: inside."""
+    vertices, faces = read_mesh(shape)
+    a, b, c = (vertices[faces[:, i]].astype(LONG) for i in range(3))
+    nearest = np.full(len(p), LONG("inf"))
+    crossings = np.zeros(len(p), dtype=int)
+    for i in range(len(faces)):
+        # p + t d = a + u (b - a) + v (c - a)
+        ab, ac, ap = b[i] - a[i], c[i] - a[i], p - a[i]
+        normal = np.cross(ab, ac)
+        with np.errstate(all="ignore"):
+            det = -(d @ normal)
+            moment = np.cross(ap, d)
+            t = (ap @ normal) / det
+            u = (moment @ ac) / det
+            v = -(moment @ ab) / det
+            hit = (u >= 0) & (v >= 0) & (u + v <= 1) & (t >= 0)
+        crossings += hit
+        nearest = np.where(hit & (t < nearest), t, nearest)
+    inside = crossings % 2 == 1
+    return (
+        np.where(inside, -LONG("inf"), nearest),
+        np.where(inside | np.isfinite(nearest), LONG("inf"), -LONG("inf")),
+    )
+
+
 def solve_shape(shape, p, d):
     """Returns the intervals of rays (p, d in G) that make up a shape."""
     if isinstance(shape, Sphere):
@@ -104,6 +151,10 @@ def solve_shape(shape, p, d):
                 )
             )
         ]
+    if isinstance(shape, Convex):
+        return [solve_convex(shape, p, d)]
+    if isinstance(shape, Mesh):
+        return [solve_mesh(shape, p, d)]
     assert isinstance(shape, HalfSpace)
     return [solve_slab(p[..., 2], d[..., 2], -LONG("inf"), LONG(0))]
 
@@ -126,6 +177,86 @@ def cast(shapes, X_WG, p_WR, n_WR, max_range=np.inf):
             distance = np.where(nearer, t, distance)
             index = np.where(nearer, i, index)
     return distance, index
+
+
+def calc_slope(scene, caster, p_WR, n_WR, distance, index):
+    """Returns how steeply rays meet the surface: 1 square, 0 tangent."""
+    shapes, X_WG = scene.shapes_in_order(caster.geometry_ids)
+    slope = np.ones(len(p_WR))
+    for i, (shape, X) in enumerate(zip(shapes, X_WG, strict=True)):
+        rows = np.flatnonzero((index == i) & (distance > 0))
+        if len(rows) == 0:
+            continue
+        p = X.inverse() @ (p_WR[rows] + distance[rows, None] * n_WR[rows]).T
+        d = X.rotation().inverse() @ n_WR[rows].T
+        normal = calc_normal(shape, p.T)
+        slope[rows] = np.abs((normal * d.T).sum(-1))
+    return slope
+
+
+def calc_normal(shape, p):
+    """Returns outward normals at points on a shape, in G."""
+    if isinstance(shape, Sphere):
+        n = p
+    elif isinstance(shape, Capsule):
+        half = shape.length() / 2
+        n = p - np.clip(p[:, 2:], -half, half) * [0, 0, 1]
+    elif isinstance(shape, Cylinder):
+        side = np.linalg.norm(p[:, :2], axis=1) - shape.radius()
+        end = np.abs(p[:, 2]) - shape.length() / 2
+        n = np.where(
+            (side > end)[:, None], p * [1, 1, 0], np.sign(p) * [0, 0, 1]
+        )
+    elif isinstance(shape, Box):
+        excess = np.abs(p) - np.asarray(shape.size()) / 2
+        n = np.eye(3)[np.argmax(excess, axis=1)] * np.sign(p)
+    elif isinstance(shape, HalfSpace):
+        n = np.tile([0.0, 0.0, 1.0], (len(p), 1))
+    elif isinstance(shape, Convex):
+        planes = find_hull_planes(read_mesh(shape)[0])
+        gap = p @ planes[:, :3].T - planes[:, 3]
+        n = planes[np.argmax(gap, axis=1), :3]
+    elif isinstance(shape, Mesh):
+        n = calc_mesh_normal(shape, p)
+    else:
+        n = p / np.array([shape.a(), shape.b(), shape.c()]) ** 2
+    return n / np.linalg.norm(n, axis=1, keepdims=True)
+
+
+def calc_mesh_normal(shape, p):
+    """Returns the normals of the triangles that points are on."""
+    vertices, faces = read_mesh(shape)
+    a, b, c = (vertices[faces[:, i]] for i in range(3))
+    normal = np.cross(b - a, c - a)
+    area2 = np.linalg.norm(normal, axis=1)
+    normal /= area2[:, None]
+    gap = np.abs(((p[:, None] - a) * normal).sum(-1))
+    for first, second in ((a, b), (b, c), (c, a)):
+        within = np.cross(normal, second - first)
+        within /= np.linalg.norm(within, axis=1, keepdims=True)
+        gap = np.maximum(gap, -((p[:, None] - first) * within).sum(-1))
+    return normal[np.argmin(gap, axis=1)]
+
+
+def assert_same_hits(scene, caster, p_WR, n_WR, distance, index, expected):
+    """Distances agree to 1e-12, but where the ray only grazes.
+
+    There the distance is as uncertain as rounding over the slope, and hit or
+    miss may differ.
+    """
+    want, want_index = expected
+    want = want.astype(float)
+    slope = np.minimum(
+        calc_slope(scene, caster, p_WR, n_WR, distance, index),
+        calc_slope(scene, caster, p_WR, n_WR, want, want_index),
+    )
+    clear = slope > 1e-3
+    np.testing.assert_allclose(distance[clear], want[clear], rtol=0, atol=1e-12)
+    np.testing.assert_array_equal(index[clear], want_index[clear])
+    grazing = ~clear & (slope > 1e-6)
+    error = np.abs(distance[grazing] - want[grazing])
+    np.testing.assert_array_less(error, 1e-14 / slope[grazing] + 1e-12)
+    assert clear.mean() > 0.95
 
 
 def make_random_pose(rng, spread=1.0):
@@ -152,10 +283,19 @@ def make_random_shape(rng, kind):
         "box": lambda: Box(*size),
         "ellipsoid": lambda: Ellipsoid(*size),
         "half_space": HalfSpace,
+        "convex": lambda: make_mesh(
+            write_obj(make_unit_vectors(rng, 12), [[0, 1, 2]]),
+            scale=size,
+            kind=Convex,
+        ),
+        "mesh": lambda: make_mesh(
+            write_obj(*make_stone(rng)), scale=rng.uniform(0.7, 1.4, 3)
+        ),
     }[kind]()
 
 
 KINDS = ("sphere", "capsule", "cylinder", "box", "ellipsoid", "half_space")
+ALL_KINDS = (*KINDS, "convex", "mesh")
 
 
 class Scene:
@@ -191,6 +331,8 @@ class Scene:
             instance.set_perception_properties(PerceptionProperties())
         elif role == Role.kProximity:
             instance.set_proximity_properties(ProximityProperties())
+        elif role == Role.kIllustration:
+            instance.set_illustration_properties(IllustrationProperties())
         if frame_id is None:
             geometry_id = self.scene_graph.RegisterAnchoredGeometry(
                 self.source_id, instance

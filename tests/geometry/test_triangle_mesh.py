@@ -1,5 +1,4 @@
 import base64
-import itertools
 import json
 from pathlib import Path
 import tempfile
@@ -10,53 +9,20 @@ from pydrake.common import MemoryFile
 from pydrake.geometry import Box, Convex, InMemoryMesh, Mesh, Role, Sphere
 from pydrake.math import RigidTransform
 import ray_oracle as oracle
+from solids import (
+    CUBE_FACES,
+    CUBE_QUADS,
+    CUBE_VERTICES,
+    find_hull_planes,
+    make_mesh,
+    make_torus,
+    write_obj,
+)
 
 from tofssm_drake.errors import UserError
 from tofssm_drake.geometry.fan import make_cone_fan
 from tofssm_drake.geometry.ray_caster import RayCaster
 import tofssm_drake.geometry.triangle_mesh as mut
-
-CUBE_VERTICES = 0.5 * np.array(
-    [[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]
-)
-CUBE_QUADS = [
-    [0, 1, 3, 2],
-    [4, 6, 7, 5],
-    [0, 4, 5, 1],
-    [2, 3, 7, 6],
-    [0, 2, 6, 4],
-    [1, 5, 7, 3],
-]
-CUBE_FACES = np.array(
-    [f for a, b, c, d in CUBE_QUADS for f in ([a, b, c], [a, c, d])]
-)
-
-
-def make_torus(count=16, major=0.5, minor=0.2):
-    u, v = np.meshgrid(*2 * [2 * np.pi * np.arange(count) / count])
-    ring = major + minor * np.cos(v)
-    vertices = np.stack(
-        [ring * np.cos(u), ring * np.sin(u), minor * np.sin(v)], -1
-    ).reshape(-1, 3)
-    i, j = np.divmod(np.arange(count * count), count)
-    a = i * count + j
-    b = i * count + (j + 1) % count
-    c = (i + 1) % count * count + (j + 1) % count
-    d = (i + 1) % count * count + j
-    return vertices, np.vstack(
-        [np.column_stack([a, b, c]), np.column_stack([a, c, d])]
-    )
-
-
-def write_obj(vertices, faces):
-    lines = ["v {:.17g} {:.17g} {:.17g}".format(*v) for v in vertices]
-    lines += [" ".join(["f", *(str(i + 1) for i in f)]) for f in faces]
-    return "\n".join(lines)
-
-
-def make_mesh(text, extension=".obj", scale=(1.0, 1.0, 1.0), kind=Mesh):
-    file = MemoryFile(text, extension, "memory")
-    return kind(InMemoryMesh(mesh_file=file), np.array(scale))
 
 
 def cast(shape, p, n, max_range=np.inf, X=None):
@@ -85,19 +51,6 @@ def brute_force(vertices, faces, p, n):
         t = x[hit & (x[:, 2] >= 0), 2]
         best[i] = t.min(initial=np.inf)
     return best
-
-
-def find_hull_planes(points):
-    """All planes through three points with every point on one side."""
-    planes = []
-    for i, j, k in itertools.combinations(range(len(points)), 3):
-        n = np.cross(points[j] - points[i], points[k] - points[i])
-        n /= np.linalg.norm(n)
-        height = points @ n - points[i] @ n
-        if (height < 1e-9).all() or (height > -1e-9).all():
-            n = n if height.min() < -1e-9 else -n
-            planes.append([*n, points[i] @ n])
-    return np.array(planes)
 
 
 def make_gltf(primitives, nodes, buffers):

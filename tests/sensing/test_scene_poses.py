@@ -9,6 +9,7 @@ from tofssm_drake.geometry.ray_caster import RayCaster
 from tofssm_drake.human.avatar import HumanAvatar
 from tofssm_drake.human.walk import GeneratedWalk, make_walk
 from tofssm_drake.robot.kinematics import RingKinematics
+from tofssm_drake.robot.meshes import replace_robot_shapes
 from tofssm_drake.robot.products import ProductLayout
 from tofssm_drake.robot.program import ProgramConfig
 from tofssm_drake.robot.twin import calc_twin_positions, make_twin_plant
@@ -16,11 +17,13 @@ import tofssm_drake.sensing.scene_poses as mut
 
 
 class TestScenePoses(unittest.TestCase):
-    def check(self, *, person):
-        """Checks that the poses are those of the SceneGraph."""
+    def check(self, *, person, meshes=False):
+        """Checks that poses and rays are those of the SceneGraph."""
         builder = DiagramBuilder()
         scene_graph = builder.AddSystem(SceneGraph())
         plant = make_twin_plant(scene_graph=scene_graph)
+        if meshes:
+            replace_robot_shapes(plant, scene_graph, illustration=False)
         avatar = None
         if person:
             avatar = builder.AddSystem(
@@ -59,6 +62,10 @@ class TestScenePoses(unittest.TestCase):
             dut.GetInputPort("skeleton").FixValue(dut_context, [])
         kinematics = RingKinematics.from_plant(plant)
         generator = np.random.default_rng(0)
+        origins = np.repeat(generator.uniform(-1.0, 1.0, (200, 3)), 25, axis=0)
+        directions = generator.normal(size=origins.shape)
+        directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+        num_hits = 0
         for closed, placed in ((0.0, 0), (1.0, 0), (1.0, 9), (0.0, 10)):
             q = generator.uniform(-3.0, 3.0, 6)
             context.SetTime(generator.uniform(0.0, 30.0))
@@ -84,13 +91,22 @@ class TestScenePoses(unittest.TestCase):
                     scene_graph.GetMyContextFromRoot(context)
                 )
             )
-            np.testing.assert_allclose(X_WF, expected, rtol=0, atol=1e-9)
+            np.testing.assert_allclose(X_WF, expected, rtol=0, atol=1e-12)
+            distance, index = caster.cast(X_WF, origins, directions)
+            want, want_index = caster.cast(expected, origins, directions)
+            np.testing.assert_allclose(distance, want, rtol=0, atol=1e-12)
+            np.testing.assert_array_equal(index, want_index)
+            num_hits += np.isfinite(distance).sum()
+        self.assertGreater(num_hits, 2000)
 
     def test_with_a_person(self):
         self.check(person=True)
 
     def test_with_nobody(self):
         self.check(person=False)
+
+    def test_with_the_real_surfaces_of_the_robot(self):
+        self.check(person=True, meshes=True)
 
 
 if __name__ == "__main__":

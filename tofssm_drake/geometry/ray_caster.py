@@ -103,8 +103,14 @@ class RayCaster:
 
         Raises:
             UserError: If a geometry's shape can not be cast; names it.
-            ValueError: If a geometry of `geometry_ids` has not the role.
+            ValueError: If the role is none, or a geometry of `geometry_ids`
+                has not the role.
         """
+        if role == Role.kUnassigned:
+            raise ValueError(
+                "role: kUnassigned is none; use kProximity, kPerception or"
+                " kIllustration"
+            )
         self._role = role
         with_role = inspector.GetAllGeometryIds(role)
         self._is_subset = geometry_ids is not None
@@ -179,12 +185,29 @@ class RayCaster:
             query_object: Of the same SceneGraph, freshly evaluated.
 
         Raises:
-            RuntimeError: If geometries of the role were added, removed or
-                changed since this caster was made: it would see the old ones.
-                Drake counts no version of perception geometry while the
-                SceneGraph has no renderer; then only a change of their number
-                is noticed here, the rest by `check_geometry`.
+            RuntimeError: If the QueryObject is no port's, or if geometries of
+                the role were added, removed or changed since this caster was
+                made: it would see the old ones. Drake counts no version of
+                perception geometry while the SceneGraph has no renderer; then
+                only a change of their number is noticed here, the rest by
+                `check_geometry`.
         """
+        try:
+            # Mapped bound methods: half the cost of a comprehension.
+            poses = list(
+                map(
+                    RigidTransform.GetAsMatrix34,
+                    map(query_object.GetPoseInWorld, self._posed_frame_ids),
+                )
+            )
+            if not poses:
+                # Drake's inspector of an empty QueryObject would crash.
+                query_object.GetPoseInWorld(self._world_frame_id)
+        except RuntimeError:
+            query_object.GetPoseInWorld(self._world_frame_id)
+            # A frame is gone, perhaps with its geometry: say which.
+            self.check_geometry(query_object.inspector())
+            raise
         inspector = query_object.inspector()
         if not (
             inspector.geometry_version().IsSameAs(self._version, self._role)
@@ -196,13 +219,6 @@ class RayCaster:
             self._remember_version(inspector)
         if not self._frame_ids:
             return np.empty((0, 3, 4))
-        # Mapped bound methods: half the cost of a comprehension.
-        poses = list(
-            map(
-                RigidTransform.GetAsMatrix34,
-                map(query_object.GetPoseInWorld, self._posed_frame_ids),
-            )
-        )
         if self._world_row >= 0:
             poses.insert(self._world_row, _IDENTITY)
         return np.concatenate(poses).reshape(-1, 3, 4)
@@ -275,7 +291,7 @@ class RayCaster:
             dtype=float,
         )
         m = len(X_FS)
-        if X_FS.shape != (m, 3, 4) or not np.isfinite(X_FS).all():
+        if X_FS.shape != (m, 3, 4) or not ray_kernels.are_poses(X_FS):
             raise ValueError("X_FS: not m finite poses of shape (3, 4)")
         fan_S = _make_unit_vectors("fan_S", fan_S)
         if len(fan_S) == 0:
@@ -352,8 +368,8 @@ class RayCaster:
             into `geometry_ids`.
 
         Raises:
-            ValueError: If the bundles or poses do not fit, or a pose is not
-                finite.
+            ValueError: If the bundles or poses do not fit, or a pose is none:
+                not finite, or its rotation is no rotation.
         """
         X_WF = self._check_poses(X_WF)
         self._check_bundles(bundles)
@@ -377,7 +393,7 @@ class RayCaster:
             bundles._cones,
         )
         if status != ray_kernels.OK:
-            raise ValueError("X_WF: a pose is not finite")
+            raise ValueError("X_WF: a pose is not finite or no rotation")
         return distance, index
 
     def cast(
@@ -404,7 +420,7 @@ class RayCaster:
 
         Raises:
             ValueError: If shapes of arrays do not fit, if a direction is not
-                a unit vector, or if a number is not finite.
+                a unit vector, if a pose is none, or if a number is not finite.
             RuntimeError: See `poses_from_query_object`.
         """
         if isinstance(poses, np.ndarray):
@@ -433,7 +449,7 @@ class RayCaster:
             float(max_range),
         )
         if status == ray_kernels.BAD_POSE:
-            raise ValueError("X_WF: a pose is not finite")
+            raise ValueError("X_WF: a pose is not finite or no rotation")
         if status == ray_kernels.BAD_RAY:
             raise ValueError(
                 "p_WR, n_WR: an origin is not finite, or a direction is not a"
@@ -489,7 +505,8 @@ class RayCaster:
             rays; NaN where there is no hit or the ray starts inside.
 
         Raises:
-            ValueError: If shapes of arrays do not fit.
+            ValueError: If shapes of arrays do not fit, or an index is none of
+                this caster's.
         """
         X_WF = self._check_poses(X_WF)
         shape = np.shape(distance)
@@ -502,6 +519,7 @@ class RayCaster:
                 f" {shape}, geometry_index {np.shape(geometry_index)}: do not"
                 " belong together"
             )
+        self._check_indices(geometry_index)
         normals = ray_kernels.calc_normals(
             X_WF,
             self._scene,
@@ -511,6 +529,32 @@ class RayCaster:
             np.array(geometry_index, dtype=np.int64).reshape(-1),
         )
         return normals.reshape(*shape, 3)
+
+    def get_geometry_ids(self, geometry_index: np.ndarray) -> np.ndarray:
+        """Returns the ids of the geometries that a cast has hit.
+
+        Args:
+            geometry_index: What the cast has returned, shape (...).
+
+        Returns:
+            GeometryIds, None where there is no hit; objects, shape (...).
+
+        Raises:
+            ValueError: If an index is none of this caster's.
+        """
+        self._check_indices(geometry_index)
+        # The index of no hit is -1, the last.
+        return np.array([*self._geometry_ids, None], dtype=object)[
+            geometry_index
+        ]
+
+    def _check_indices(self, geometry_index: np.ndarray) -> None:
+        indices = np.asarray(geometry_index)
+        if not ((indices >= -1) & (indices < len(self._geometry_ids))).all():
+            raise ValueError(
+                "geometry_index: has an index that is neither -1 nor one of"
+                f" {len(self._geometry_ids)} geometries"
+            )
 
     def _remember_version(self, inspector: SceneGraphInspector) -> None:
         self._version = copy.copy(inspector.geometry_version())

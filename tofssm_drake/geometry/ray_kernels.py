@@ -69,6 +69,8 @@ OK = 0
 BAD_POSE = 1
 BAD_RAY = 2
 
+# How far a rotation may be from one.
+_TOLERANCE = 1e-6
 # Rounding must not drop a shape that is only touched.
 _MARGIN = 1e-9
 
@@ -250,14 +252,27 @@ def _calc_centres(X_WF, shapes):
 
 
 @njit(cache=True, error_model="numpy")
-def _are_finite(X_WF):
-    total = 0.0
+def are_poses(X_WF):
+    """Returns whether poses are finite and their rotations rotations."""
+    good = True
     for i in range(X_WF.shape[0]):
+        X = X_WF[i]
+        # Anything times zero is zero, unless it is not finite.
+        good &= (X[0, 3] + X[1, 3] + X[2, 3]) * 0.0 == 0.0
         for j in range(3):
-            for k in range(4):
-                # Anything times zero is zero, unless it is not finite.
-                total += X_WF[i, j, k] * 0.0
-    return total == 0.0
+            k = (j + 1) % 3
+            length = X[j, 0] * X[j, 0] + X[j, 1] * X[j, 1] + X[j, 2] * X[j, 2]
+            cosine = X[j, 0] * X[k, 0] + X[j, 1] * X[k, 1] + X[j, 2] * X[k, 2]
+            good &= (
+                abs(length - 1.0) <= _TOLERANCE and abs(cosine) <= _TOLERANCE
+            )
+        # Not a mirror.
+        good &= (
+            X[0, 0] * (X[1, 1] * X[2, 2] - X[1, 2] * X[2, 1])
+            + X[0, 1] * (X[1, 2] * X[2, 0] - X[1, 0] * X[2, 2])
+            + X[0, 2] * (X[1, 0] * X[2, 1] - X[1, 1] * X[2, 0])
+        ) > 0.0
+    return good
 
 
 @njit(cache=True, error_model="numpy", forceinline=True)
@@ -328,7 +343,7 @@ def cast_bundles(X_WF, scene, bundles, active, which, fan, cones):
     groups = cones.shape[0] - 1
     distance = np.empty((m, k))
     index = np.empty((m, k), dtype=np.int64)
-    if not _are_finite(X_WF):
+    if not are_poses(X_WF):
         return BAD_POSE, distance, index
     p_WC = _calc_centres(X_WF, shapes)
     X_WS = np.empty((3, 4))
@@ -527,7 +542,7 @@ def cast_rays(X_WF, scene, active, p_WR, n_WR, reach):
     rays, n = p_WR.shape[0], shapes.shape[0]
     distance = np.full(rays, np.inf)
     index = np.full(rays, -1, dtype=np.int64)
-    if not _are_finite(X_WF):
+    if not are_poses(X_WF):
         return BAD_POSE, distance, index
     p_WC = _calc_centres(X_WF, shapes)
     X_WG = np.empty((n, 3, 4))
