@@ -123,6 +123,7 @@ class _Log:
         self.reasons = []
         # The last of each.
         self.separation = None
+        self.some_missing = True
         self.states = None
         self.why = None
 
@@ -226,13 +227,15 @@ class MessageLog(LeafSystem):
             log.times.append(time)
             log.separations.append(separation)
             log.indices.append(self._dsi_port.Eval(context))
-            self._record_scans(context, log, separation.sequence.tolist())
+            sequence = separation.sequence.tolist()
+            log.some_missing = min(sequence) < 0
+            self._record_scans(context, log, sequence)
             if len(log.separations) == _PACK_AT:
                 log.pack()
         states = self._ring_states_port.Eval(context).tolist()
         # Words cost more than numbers: one reason per robot state, and
         # another one when the last ring has its first sample.
-        why = (min(states), bool((separation.sequence < 0).any()))
+        why = (min(states), log.some_missing)
         if states != log.states or why != log.why:
             if why != log.why:
                 log.reasons.append(self._reason_port.Eval(context))
