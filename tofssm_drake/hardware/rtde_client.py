@@ -15,9 +15,9 @@ import math
 import socket
 import threading
 import time
-from typing import Protocol
 
 from tofssm_drake.errors import require
+from tofssm_drake.hardware.robot_connection import RtdeStatus
 from tofssm_drake.hardware.rtde_fields import (
     ECHOED_TYPES,
     INPUT_TYPES,
@@ -112,64 +112,6 @@ class RtdeConfig:
             f"{where}.retry_last: must not be less than retry_first, "
             f"{self.retry_first:g} s, got {self.retry_last:g}",
         )
-
-
-@dc.dataclass(frozen=True, kw_only=True)
-class RtdeStatus:
-    """How a connection is doing."""
-
-    connected: bool = False
-    """Packages stream in, and writing was granted if it was asked for."""
-    problem: str = "not started"
-    """Why not, in one line; empty while connected."""
-    controller: tuple[int, ...] = ()
-    """Its version: major, minor, bugfix, build."""
-    frequency: float = math.nan
-    """Packages per second that were asked for."""
-    types: dict[str, str] = dc.field(default_factory=dict)
-    """Fields that stream in, with the controller's types."""
-    writes: bool = False
-    """Whether the slider is ours."""
-    connections: int = 0
-    """How often packages began to stream."""
-    packages: int = 0
-    """Received and good."""
-    missed: int = 0
-    """Never came, by the robot's clock."""
-    rejected: int = 0
-    """Of a wrong size or recipe, or with values that can not be."""
-    repeated: int = 0
-    """With the timestamp of the one before."""
-    texts: int = 0
-    """Text messages from the controller."""
-    last_text: str = ""
-    """The last of them."""
-
-
-class RobotConnection(Protocol):
-    """What the systems need of a connection; see `rtde_systems.py`."""
-
-    def get_report(self) -> RobotReport:
-        """Returns the newest report; its sequence is -1 if there is none."""
-
-    def wait_for_report(self, *, after: int, timeout: float) -> RobotReport:
-        """Waits for a report newer than sequence `after`, at most that long.
-
-        Returns:
-            The newest report, which is not newer if the time is over.
-        """
-
-    def send(self, command: SliderCommand) -> bool:
-        """Sends a command; returns whether it was handed over.
-
-        That it was handed over does not mean that it arrives.
-        """
-
-    def get_status(self) -> RtdeStatus:
-        """Returns how the connection is doing."""
-
-    def close(self) -> None:
-        """Ends the connection; harmless if it has ended."""
 
 
 class _LostError(Exception):
