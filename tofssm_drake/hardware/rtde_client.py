@@ -33,6 +33,8 @@ from tofssm_drake.hardware.rtde_report import (
 )
 from tofssm_drake.messages import RobotReport, SliderCommand
 
+# Bytes that may wait for the robot to read them.
+_SEND_BUFFER = 4096
 # How long closing may take in all of its parts, s.
 _FAREWELL = 0.2
 
@@ -289,6 +291,10 @@ class RtdeClient:
             (config.host, config.port), config.connect_timeout
         ) as connection:
             connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            # A robot that does not read must not stay unnoticed for long.
+            connection.setsockopt(
+                socket.SOL_SOCKET, socket.SO_SNDBUF, _SEND_BUFFER
+            )
             link = _Link(self, connection)
             try:
                 link.shake_hands()
@@ -477,6 +483,10 @@ class _Link:
             raise _LostError("closed")
         if remaining <= 0:
             raise _LostError(f"{self._client._where}: {otherwise}")
+        try:
+            self._reader.check()
+        except RtdeError as error:
+            raise _LostError(f"{self._client._where}: {error}") from None
         # Short enough to notice that the client was closed.
         self._connection.settimeout(min(remaining, 0.25))
         try:
@@ -485,10 +495,7 @@ class _Link:
             return
         if not data:
             raise _LostError(f"{self._client._where}: the controller hung up")
-        try:
-            packages = self._reader.feed(data)
-        except RtdeError as error:
-            raise _LostError(f"{self._client._where}: {error}") from None
+        packages = self._reader.feed(data)
         if self._client._tap is not None:
             for kind, payload in packages:
                 self._client._record(False, rtde.encode_package(kind, payload))

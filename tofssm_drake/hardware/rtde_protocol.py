@@ -97,27 +97,32 @@ class PackageReader:
             data: The next bytes of the stream, any number of them.
 
         Returns:
-            (type byte, payload) of each, in their order.
-
-        Raises:
-            RtdeError: A size is less than the header's own three bytes. The
-                stream can not be followed any further: disconnect.
+            (type byte, payload) of each, in their order. Nothing comes any
+            more after a header that can not be: see `check`.
         """
         self._buffer += data
         packages = []
         start = 0
         while len(self._buffer) - start >= _HEADER.size:
             size, kind = _HEADER.unpack_from(self._buffer, start)
-            if size < _HEADER.size:
-                self._buffer.clear()
-                raise RtdeError(f"package size {size}: must be at least 3")
-            if len(self._buffer) - start < size:
+            if not _HEADER.size <= size <= len(self._buffer) - start:
                 break
             payload = bytes(self._buffer[start + _HEADER.size : start + size])
             packages.append((kind, payload))
             start += size
         del self._buffer[:start]
         return packages
+
+    def check(self) -> None:
+        """Raises RtdeError if the stream can not be followed any further.
+
+        That is so if the next size is less than the header's own three bytes.
+        All one can do is to disconnect.
+        """
+        if len(self._buffer) >= _HEADER.size:
+            size, _ = _HEADER.unpack_from(self._buffer)
+            if size < _HEADER.size:
+                raise RtdeError(f"package size {size}: must be at least 3")
 
 
 def encode_package(kind: int, payload: bytes = b"") -> bytes:
@@ -323,13 +328,13 @@ class Recipe:
             raise RtdeError(
                 f"{len(values)} values for {len(self._counts)} fields"
             )
-        for value, count in zip(values, self._counts, strict=True):
-            if count == 1:
-                flat.append(value)
-            else:
-                flat.extend(value)
         head = bytes([self.recipe_id]) if version >= 2 else b""
         try:
+            for value, count in zip(values, self._counts, strict=True):
+                if count == 1:
+                    flat.append(value)
+                else:
+                    flat.extend(value)
             payload = head + self._values.pack(*flat)
         except (struct.error, TypeError) as error:
             raise RtdeError(f"data package: {error}") from None

@@ -206,18 +206,15 @@ class RtdeServer:
         if not data:
             self._drop(session)
             return
-        try:
-            packages = session.reader.feed(data)
-        except RtdeError:
-            self._drop(session)
-            return
-        for kind, payload in packages:
+        for kind, payload in session.reader.feed(data):
             try:
                 self._answer(session, kind, payload)
             except RtdeError as error:
                 self._tell(session, str(error), rtde.TextLevel.WARNING)
-            if connection not in self._sessions:
-                return
+        try:
+            session.reader.check()
+        except RtdeError:
+            self._drop(session)
 
     def _drop(self, session):
         self._sessions.pop(session.connection, None)
@@ -425,7 +422,7 @@ class RtdeServer:
         """
         robot = self.robot
         if line.startswith("simulate "):
-            return self._simulate(*line.split()[1:])
+            return self._simulate(*line.split(maxsplit=2)[1:])
         if line == "play":
             return (
                 "Starting program"

@@ -219,6 +219,7 @@ class SimulatedUr:
                     f"standard_analog_output_{i}"
                 ]
         self.inputs.update(values)
+        self.outputs |= {n: values[n] for n in ECHOED_TYPES.keys() & values}
 
     def move_slider(self, fraction: float) -> None:
         """Moves the speed slider, as a client or a person does."""
@@ -398,8 +399,6 @@ class SimulatedUr:
                 self._path.calc_products_placed(self.path_time)
             ),
         }
-        for name in ECHOED_TYPES:
-            self.outputs[name] = self.inputs[name]
 
     def _calc_safety_bits(self):
         bits = _SAFETY_BITS.get(self.safety_mode, SafetyStatusBit(0))
@@ -440,9 +439,7 @@ def calc_tool_motion(
     velocity = np.concatenate([v_WS[-1] @ R_WB, qd @ axes @ R_WB])
     # The elbow joint's origin rides on the upper arm.
     p_WE = X_WA[3, :, 3]
-    v_WE = sum(
-        qd[i] * np.cross(axes[i], p_WE - X_WA[i + 1, :, 3]) for i in (0, 1)
-    )
+    v_WE = qd[:2] @ np.cross(axes[:2], p_WE - X_WA[1:3, :, 3])
     return pose, velocity, (p_WE - p_WB) @ R_WB, v_WE @ R_WB
 
 
