@@ -375,6 +375,14 @@ class TestDashboard(TestServer):
                     "could not understand: 'simulate text maybe'",
                 ),
                 (
+                    "simulate fragment -1",
+                    "could not understand: 'simulate fragment -1'",
+                ),
+                (
+                    "simulate clock nan",
+                    "could not understand: 'simulate clock nan'",
+                ),
+                (
                     "simulate slider 1 2",
                     "could not understand: 'simulate slider 1 2'",
                 ),

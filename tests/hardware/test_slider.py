@@ -50,7 +50,7 @@ def run(robot, wanted, *, cycles, state=None, config=None):
     state = state or mut.SliderState()
     states = []
     for _ in range(cycles):
-        state = mut.step_slider(config, state, robot.report(), wanted, _PERIOD)
+        state = mut.step_slider(config, state, robot.report(), wanted)
         robot.queue.append(state.command)
         states.append(state)
     return states
@@ -67,7 +67,7 @@ def settle(robot, wanted=0.8, **settings):
 class TestStart(unittest.TestCase):
     def test_nothing_is_sent_before_a_report(self):
         dut = mut.step_slider(
-            mut.SliderConfig(), mut.SliderState(), RobotReport(), 1.0, _PERIOD
+            mut.SliderConfig(), mut.SliderState(), RobotReport(), 1.0
         )
         self.assertEqual(dut.command.sequence, -1)
         self.assertEqual(dut.phase, SliderPhase.WAITING)
@@ -90,8 +90,8 @@ class TestStart(unittest.TestCase):
         robot = Robot()
         report = robot.report()
         config = mut.SliderConfig()
-        first = mut.step_slider(config, mut.SliderState(), report, 1.0, _PERIOD)
-        again = mut.step_slider(config, first, report, 0.2, _PERIOD)
+        first = mut.step_slider(config, mut.SliderState(), report, 1.0)
+        again = mut.step_slider(config, first, report, 0.2)
         self.assertIs(again, first)
 
 
@@ -245,6 +245,27 @@ class TestFault(unittest.TestCase):
         robot.obeys = False
         (state,) = run(robot, 0.8, cycles=1, state=state)
         self.assertEqual(state.phase, SliderPhase.FAULT)
+
+
+class TestLateComputer(unittest.TestCase):
+    def test_only_every_twentieth_report_is_seen(self):
+        """Being late is neither disobedience nor a leap upwards."""
+        config = mut.SliderConfig()
+        robot = Robot()
+        state = mut.SliderState()
+        before = 0.0
+        for i in range(200):
+            wanted = 1.0 if i % 40 < 35 else 0.0
+            for _ in range(19):
+                robot.report()
+            state = mut.step_slider(config, state, robot.report(), wanted)
+            robot.queue.append(state.command)
+            self.assertNotEqual(state.phase, SliderPhase.FAULT)
+            self.assertEqual(state.operator_fraction, 1.0)
+            if i < 9:
+                fraction = state.command.speed_fraction
+                self.assertLessEqual(fraction - before, 0.1 + 1e-9)
+                before = fraction
 
 
 class TestOperator(unittest.TestCase):

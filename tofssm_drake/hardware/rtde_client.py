@@ -260,6 +260,8 @@ class RtdeClient:
                 self._serve_connection()
             except _LostError as problem:
                 self._update(connected=False, problem=str(problem))
+            except RtdeError as error:
+                self._update(connected=False, problem=f"{self._where}: {error}")
             except OSError as error:
                 self._update(
                     connected=False,

@@ -8,6 +8,7 @@ that starts and stops programs, and takes the faults to inject.
 
 from collections.abc import Callable
 import dataclasses as dc
+import math
 import selectors
 import socket
 import time
@@ -463,22 +464,34 @@ class RtdeServer:
         def switch():
             return {"on": True, "off": False}[value]
 
+        def number():
+            number = float(value)
+            if not math.isfinite(number):
+                raise ValueError(value)
+            return number
+
+        def count():
+            count = int(value)
+            if count < 0:
+                raise ValueError(value)
+            return count
+
         actions = {
-            "slider": lambda: robot.move_slider(float(value)),
+            "slider": lambda: robot.move_slider(number()),
             "slider-frozen": lambda: setattr(robot, "slider_frozen", switch()),
             "safety": lambda: robot.set_safety_mode(SafetyMode(int(value))),
             "stall": lambda: setattr(
-                faults, "stalled_until", time.monotonic() + float(value)
+                faults, "stalled_until", time.monotonic() + number()
             ),
-            "skip": lambda: setattr(faults, "skip_next", int(value)),
-            "skip-every": lambda: setattr(faults, "skip_every", int(value)),
+            "skip": lambda: setattr(faults, "skip_next", count()),
+            "skip-every": lambda: setattr(faults, "skip_every", count()),
             "duplicate": lambda: setattr(faults, "duplicate", switch()),
-            "fragment": lambda: setattr(faults, "fragment", int(value)),
-            "coalesce": lambda: setattr(faults, "coalesce", int(value)),
+            "fragment": lambda: setattr(faults, "fragment", count()),
+            "coalesce": lambda: setattr(faults, "coalesce", count()),
             "text": lambda: setattr(faults, "text_messages", switch()),
             "drop": self.drop_clients,
             "restart": self._restart,
-            "clock": lambda: robot.shift_clock(float(value)),
+            "clock": lambda: robot.shift_clock(number()),
             "claim": lambda: self.claim(value.split(",")),
             "release": self.release,
         }

@@ -19,7 +19,7 @@ from pydrake.systems.framework import (
     State,
 )
 
-from tofssm_drake.errors import UserError, require, require_period
+from tofssm_drake.errors import UserError, require
 from tofssm_drake.hardware.robot_connection import RobotConnection
 from tofssm_drake.hardware.slider import (
     SliderConfig,
@@ -250,17 +250,12 @@ class SliderControl(LeafSystem):
 
     Args:
         config: Settings; checked.
-        period: Of the robot's control cycle, s.
     """
 
-    def __init__(
-        self, *, config: SliderConfig | None = None, period: float = 0.008
-    ):
+    def __init__(self, *, config: SliderConfig | None = None):
         super().__init__()
         self._config = SliderConfig() if config is None else config
         self._config.check("slider")
-        require_period(period)
-        self._period = period
         self._report = self.DeclareAbstractInputPort(
             "report", Value(RobotReport())
         )
@@ -298,7 +293,6 @@ class SliderControl(LeafSystem):
                 context.get_abstract_state(self._state).get_value(),
                 self._report.Eval(context),
                 self._speed_fraction.Eval(context)[0],
-                self._period,
             )
         )
 

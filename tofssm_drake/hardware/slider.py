@@ -19,6 +19,8 @@ from tofssm_drake.hardware.rtde_fields import (
 )
 from tofssm_drake.messages import RobotReport, SliderCommand
 
+# After a gap between reports the fraction rises as if it was only that, s.
+_LONGEST_STEP = 0.05
 # A protective stop that soon after the slider left 0 came of that, s.
 _OFFENCE = 1.0
 
@@ -27,8 +29,9 @@ _OFFENCE = 1.0
 class SliderConfig:
     """How the speed slider is used."""
 
-    # The echo must follow a write within that many control cycles; else it is
-    # written once more, and if that does not help either it is a fault.
+    # The echo must follow a write within that many reports, one per control
+    # cycle; else it is written once more, and if that does not help either it
+    # is a fault.
     confirm_cycles: int = 5
 
     # Echo and wish may differ by that much (assumed: how a controller rounds
@@ -102,25 +105,27 @@ class SliderState:
     session: int = -1
     """Of that report."""
     timestamp: float = math.nan
-    """Of that report, s on the robot's clock, as all times here."""
+    """Of that report, s on the robot's clock."""
+    count: int = 0
+    """Of reports answered."""
     echo: float = math.nan
     """Of that report: where the slider was."""
     fraction: float = math.nan
     """Where it was last set or left; NaN: not yet in this session."""
-    replaced: tuple[tuple[float, float], ...] = ()
-    """(fraction, when another took its place) of late."""
+    replaced: tuple[tuple[float, int], ...] = ()
+    """(fraction, `count` when another took its place) of late."""
     confirmed: bool = False
     """The echo was `fraction` at least once since a start or a fault."""
     obeyed: int = 0
     """For how many reports in a row it is so by now."""
     deadline: float = math.inf
-    """When setting it once more must have helped."""
+    """`count` by which setting it once more must have helped."""
     operator_fraction: float = 1.0
     """What a person at the slider allows."""
     ceiling: float = 0.0
     """What is allowed after a hold, growing; inf: no limit."""
     left_zero: float = -math.inf
-    """When the slider was last set from 0 to more."""
+    """When the slider was last set from 0 to more, s."""
 
     def __deepcopy__(self, memo):
         return self
@@ -146,7 +151,6 @@ def step_slider(
     state: SliderState,
     report: RobotReport,
     wanted: float,
-    period: float,
 ) -> SliderState:
     """Takes one report and says what to send in answer.
 
@@ -159,7 +163,6 @@ def step_slider(
         state: After the report before.
         report: The newest; if it is not new, nothing changes.
         wanted: Speed fraction of the safety law; not a number counts as 0.
-        period: Of the robot's control cycle, s.
 
     Returns:
         The next state, with the command in it.
@@ -169,17 +172,21 @@ def step_slider(
     if report.session != state.session:
         # The new session knows nothing of what was written in the old one.
         state = SliderState(
-            command=state.command, ceiling=config.minimum_fraction
+            command=state.command,
+            count=state.count,
+            ceiling=config.minimum_fraction,
         )
-    now, echo = report.timestamp, report.target_speed_fraction
-    # A robot's clock adds up periods: half a one is no delay.
-    window = (config.confirm_cycles + 0.5) * period
+    # Reports are counted, not time: a computer that was late has neither
+    # written nor looked in the meantime.
+    now, echo = state.count + 1, report.target_speed_fraction
     wanted = min(wanted, 1.0) if wanted > 0.0 else 0.0
     hold = find_hold(report)
     was_fault = state.phase == SliderPhase.FAULT
     fresh = math.isnan(state.fraction)
 
-    replaced = tuple(p for p in state.replaced if now - p[1] < window)
+    replaced = tuple(
+        p for p in state.replaced if now - p[1] <= config.confirm_cycles
+    )
     # Comparisons with an echo that is not a number are all false.
     obeys = abs(echo - state.fraction) <= config.tolerance
     astray = not fresh and not _is_within(
@@ -196,7 +203,8 @@ def step_slider(
     if hold or not confirmed:
         ceiling = config.minimum_fraction
     elif ceiling < 1.0:
-        ceiling += config.rise_rate * (now - state.timestamp)
+        elapsed = report.timestamp - state.timestamp
+        ceiling += config.rise_rate * min(elapsed, _LONGEST_STEP)
     if ceiling >= 1.0:
         ceiling = math.inf
     target = max(min(wanted, ceiling), config.minimum_fraction)
@@ -206,7 +214,7 @@ def step_slider(
     astray = astray and not (moved and target == echo)
     deadline = state.deadline if astray else math.inf
     if astray and deadline == math.inf:
-        deadline = now + window
+        deadline = now + config.confirm_cycles
     if was_fault:
         fault = obeyed < config.confirm_cycles
     else:
@@ -240,7 +248,8 @@ def step_slider(
             heartbeat=(state.command.heartbeat + (not fault)) & 0x7FFFFFFF,
         ),
         session=report.session,
-        timestamp=now,
+        timestamp=report.timestamp,
+        count=now,
         echo=echo,
         fraction=target,
         replaced=replaced,
@@ -249,7 +258,9 @@ def step_slider(
         deadline=deadline,
         operator_fraction=operator,
         ceiling=ceiling,
-        left_zero=now if target > 0.0 == state.fraction else state.left_zero,
+        left_zero=report.timestamp
+        if target > 0.0 == state.fraction
+        else state.left_zero,
     )
 
 
