@@ -12,6 +12,7 @@ from tofssm_drake.hardware.robot_connection import (
     NullConnection,
 )
 from tofssm_drake.hardware.rtde_client import RtdeClient, RtdeConfig
+from tofssm_drake.hardware.rtde_fields import RuntimeState
 import tofssm_drake.hardware.rtde_systems as mut
 from tofssm_drake.hardware.slider import SliderPhase
 from tofssm_drake.messages import RobotReport, SliderCommand
@@ -290,6 +291,24 @@ class TestLoop(unittest.TestCase):
 
 
 class TestWithRobot(unittest.TestCase):
+    def setUp(self):
+        self.sequence = -1
+
+    def run_loop(self, loop, until, seconds=5.0):
+        """Runs packet by packet; returns the robot's time it took, or fails."""
+        start = loop.context.get_time()
+        while loop.context.get_time() < start + seconds:
+            report = loop.connection.wait_for_report(
+                after=self.sequence, timeout=1
+            )
+            self.assertGreater(report.sequence, self.sequence)
+            self.sequence = report.sequence
+            loop.step(report)
+            if until(report):
+                return report.timestamp - start
+        state = loop.eval(loop.control, "slider")
+        raise AssertionError(f"waited in vain; {report} {state}")
+
     def test_over_a_socket(self):
         """A whole loop: rises, is stopped, a person slows it, a pause."""
         robot = make_robot(ramp=0.05)
@@ -299,52 +318,57 @@ class TestWithRobot(unittest.TestCase):
         ):
             loop = Loop(client)
             loop.initialize()
-            sequence = client.get_report().sequence
-
-            def run(until, seconds=5.0):
-                nonlocal sequence
-                start = loop.context.get_time()
-                while loop.context.get_time() < start + seconds:
-                    report = client.wait_for_report(after=sequence, timeout=1)
-                    self.assertGreater(report.sequence, sequence)
-                    sequence = report.sequence
-                    loop.step(report)
-                    if until(report):
-                        return True
-                return False
 
             def stands(report):
                 return not report.velocity.any()
 
-            self.assertTrue(run(stands))
-            self.assertTrue(
-                run(lambda r: r.target_speed_fraction == 0.8), client
-            )
-            self.assertTrue(run(lambda r: r.velocity.any()))
+            def slider():
+                return loop.eval(loop.control, "slider")
+
+            self.run_loop(loop, stands)
+            self.run_loop(loop, lambda r: r.target_speed_fraction == 0.8)
+            self.run_loop(loop, lambda r: r.velocity.any())
             loop.set_wanted(0.0)
-            self.assertTrue(run(stands, seconds=0.5))
+            self.run_loop(loop, stands, seconds=0.5)
             loop.set_wanted(1.0)
-            self.assertTrue(run(lambda r: r.target_speed_fraction == 1.0))
+            self.run_loop(loop, lambda r: r.target_speed_fraction == 1.0)
             server.do("simulate slider 0.4")
-            self.assertTrue(
-                run(
-                    lambda _: (
-                        loop.eval(loop.control, "slider").phase
-                        == SliderPhase.YIELDING
-                    )
-                )
+            self.run_loop(
+                loop, lambda _: slider().phase == SliderPhase.YIELDING
             )
             server.do("pause")
-            self.assertTrue(
-                run(
-                    lambda _: (
-                        loop.eval(loop.control, "slider").reason
-                        == "program: paused"
-                    )
-                )
-            )
-            self.assertTrue(run(stands))
+            self.run_loop(loop, lambda _: slider().reason == "program: paused")
+            self.run_loop(loop, stands)
         self.assertEqual(robot.slider, 0.0)
 
-    def test_command_default_is_never_sent(self):
+    def test_slider_that_does_not_obey_ends_in_the_watchdog(self):
+        """The heartbeat stands still, so the robot's program stops."""
+        robot = make_robot(ramp=0.05, watchdog_timeout=0.2)
+        with (
+            serve(robot) as server,
+            RtdeClient(RtdeConfig(port=server.address[1])) as client,
+        ):
+            loop = Loop(client)
+            loop.initialize()
+            self.run_loop(loop, lambda r: r.target_speed_fraction == 0.8)
+            server.do("simulate slider-frozen on")
+            loop.set_wanted(0.0)
+            self.run_loop(
+                loop,
+                lambda _: loop.eval(loop.control, "slider_obeys")[0] == 0.0,
+            )
+            time_taken = self.run_loop(
+                loop,
+                lambda r: (
+                    r.runtime_state == RuntimeState.STOPPED
+                    and not r.velocity.any()
+                ),
+            )
+            # 0.2 s for the watchdog and 0.2 s to stop, and a slow machine.
+            self.assertLess(time_taken, 0.6)
+            self.assertEqual(robot.slider, 0.8)
+
+
+class TestDefaults(unittest.TestCase):
+    def test_command_before_any_report_is_not_to_be_sent(self):
         self.assertEqual(SliderCommand().sequence, -1)

@@ -34,10 +34,7 @@ def main():
         "safety_bits": receive.getSafetyStatusBits(),
         "q": receive.getActualQ(),
         "tcp_pose": receive.getActualTCPPose(),
-        "joint_temperatures": receive.getJointTemperatures(),
-        "standard_analog_input": receive.getStandardAnalogInput0(),
         "voltage": receive.getActualMainVoltage(),
-        "register_echo": {},
     }
     start = receive.getTimestamp()
     seen["runs"] = wait_until(lambda: receive.getTimestamp() > start + 0.1)
