@@ -52,7 +52,8 @@ $(VENV)/.installed: pyproject.toml constraints.txt | $(BIN)/python
 
 $(VENV)/.installed-test: pyproject.toml constraints.txt | $(BIN)/python
 	$(PIP_INSTALL) --editable '.[meshes,test]'
-	$(PIP_INSTALL) --only-binary mujoco,pybullet --editable '.[peers]' || \
-	  echo "MuJoCo and PyBullet can not be installed: nothing is compared"
+	$(PIP_INSTALL) --only-binary mujoco,pybullet,ur_rtde --editable '.[peers]' || \
+	  echo "MuJoCo, PyBullet and ur_rtde can not be installed:" \
+	    "nothing is compared"
 	$(CHECK_DRAKE)
 	@touch $@ $(VENV)/.installed

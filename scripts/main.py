@@ -15,6 +15,7 @@ def make_app() -> typer.Typer:
     has to work as well.
     """
     from tofssm_drake.scripts.simulate import simulate
+    from tofssm_drake.scripts.simulated_ur import simulated_ur
 
     app = typer.Typer(
         name="tofssm",
@@ -25,8 +26,7 @@ def make_app() -> typer.Typer:
         pretty_exceptions_enable=False,
     )
     app.command()(simulate)
-    # Keeps `simulate` a subcommand while it is the only one.
-    app.callback()(lambda: None)
+    app.command("simulated-ur")(simulated_ur)
     return app
 
 

@@ -8,17 +8,23 @@ from hypothesis import settings
 settings.register_profile("tofssm", deadline=None)
 settings.load_profile("tofssm")
 
-# These compare with MuJoCo, which comes with the extra `peers`.
-_OF_PEERS = "geometry/test_ray_peers.py"
-collect_ignore = []
-if importlib.util.find_spec("mujoco") is None:
-    collect_ignore.append(_OF_PEERS)
+# These compare with others' software, which comes with the extra `peers`.
+_OF_PEERS = {
+    "mujoco": "geometry/test_ray_peers.py",
+    "rtde_receive": "hardware/test_ur_rtde.py",
+}
+collect_ignore = [
+    path
+    for module, path in _OF_PEERS.items()
+    if importlib.util.find_spec(module) is None
+]
 
 
 def pytest_terminal_summary(terminalreporter):
     """Says at the end of a run what could not be compared."""
     if collect_ignore:
-        terminalreporter.section("not compared with MuJoCo")
-        terminalreporter.write_line(
-            f"tests/{_OF_PEERS} was left out: install the extra 'peers'"
-        )
+        terminalreporter.section("not compared with others")
+        for path in collect_ignore:
+            terminalreporter.write_line(
+                f"tests/{path} was left out: install the extra 'peers'"
+            )

@@ -184,6 +184,77 @@ class SafetyIndex(_Frozen):
     """`RingHealth`, (m,)."""
 
 
+@dc.dataclass(frozen=True, eq=False, kw_only=True)
+class RobotReport(_Frozen):
+    """What a real robot tells about itself in one package.
+
+    All of it is of one control cycle. A number that the robot does not send
+    is NaN, or -1 where it is an integer.
+    """
+
+    sequence: int = -1
+    """Counts packages from 0 over all connections; -1: none yet."""
+    session: int = -1
+    """Counts connections from 0, and restarts of the robot's clock; within
+    one of them `timestamp` only grows."""
+    missed: int = 0
+    """Packages that never came, so far, by the robot's clock."""
+    time: float = -np.inf
+    """When the package arrived, s on the host's monotonic clock."""
+    timestamp: float = -np.inf
+    """When the robot made it, s on the robot's own clock."""
+    position: np.ndarray = dc.field(default_factory=lambda: np.full(6, np.nan))
+    """Measured joints q, rad, (6,)."""
+    velocity: np.ndarray = dc.field(default_factory=lambda: np.full(6, np.nan))
+    """Measured joint speeds, rad/s, (6,)."""
+    acceleration_commanded: np.ndarray = dc.field(
+        default_factory=lambda: np.full(6, np.nan)
+    )
+    """Target joint accelerations, rad/s^2, (6,)."""
+    tcp_pose: np.ndarray = dc.field(default_factory=lambda: np.full(6, np.nan))
+    """Tool in the robot's base: x, y, z in m, rotation vector in rad, (6,)."""
+    tcp_velocity: np.ndarray = dc.field(
+        default_factory=lambda: np.full(6, np.nan)
+    )
+    """Of the tool in the base: m/s, then rad/s, (6,)."""
+    digital_inputs: int = -1
+    """Bits 0-7 standard, 8-15 configurable, 16-17 tool."""
+    digital_outputs: int = -1
+    """The same for outputs."""
+    robot_mode: int = -1
+    """7 is running; nothing else lets it move."""
+    safety_mode: int = -1
+    """1 normal, 2 reduced; anything else is a stop or a fault."""
+    safety_status: int = -1
+    """The same on newer software, -1 on older."""
+    robot_status_bits: int = -1
+    """0 power on, 1 program running, 2 teach button, 3 power button."""
+    safety_status_bits: int = -1
+    """Bits from 0: normal, reduced, protective stopped, recovery, ..."""
+    runtime_state: int = -1
+    """Of the robot's program: 2 playing, 4 paused, 1 stopped, ..."""
+    speed_scaling: float = np.nan
+    """Factor of the robot's own trajectory limiter."""
+    target_speed_fraction: float = np.nan
+    """Where the speed slider is, 0 to 1."""
+    products_placed: int = -1
+    """Register in which the robot's program counts."""
+
+
+@dc.dataclass(frozen=True, eq=False, kw_only=True)
+class SliderCommand(_Frozen):
+    """One package to the robot: its speed slider and a sign of life."""
+
+    sequence: int = -1
+    """Of the report that it answers; -1: there was none, nothing to send."""
+    mask: int = 0
+    """1 sets the slider, 0 leaves it alone."""
+    speed_fraction: float = 0.0
+    """Where the slider shall go, 0 to 1; counts only with mask 1."""
+    heartbeat: int = 0
+    """Changes with each package as long as all is well."""
+
+
 def make_empty_separation(name: tuple[str, ...] = RINGS) -> Separation:
     """Returns the separation before any sample: nothing is known."""
     m = len(name)

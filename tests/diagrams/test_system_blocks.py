@@ -16,6 +16,8 @@ from tofssm_drake.diagrams.station import make_station
 from tofssm_drake.diagrams.workcell import make_workcell
 from tofssm_drake.evaluation.ground_truth import GroundTruth, TruthModel
 from tofssm_drake.geometry.ray_caster import RayCaster
+from tofssm_drake.hardware.robot_connection import NullConnection
+import tofssm_drake.hardware.rtde_systems as rtde_systems
 import tofssm_drake.robot.sim_ur10 as sim_ur10
 from tofssm_drake.sensing.lidar_2d import (
     Lidar2d,
@@ -101,7 +103,16 @@ class TestSystemBlocks(unittest.TestCase):
             caster=caster,
             bundle=make_lidar_bundle(config=lidar_config, caster=caster),
         )
-        return [GroundTruth(model=model), lidar]
+        connection = NullConnection()
+        return [
+            GroundTruth(model=model),
+            lidar,
+            rtde_systems.RtdeInterfaceSystem(connection=connection),
+            rtde_systems.RtdeSubscriberSystem(connection=connection),
+            rtde_systems.RtdePublisherSystem(connection=connection),
+            rtde_systems.RobotReportReceiver(),
+            rtde_systems.SliderControl(),
+        ]
 
     def test_every_public_system(self):
         seen = set()

@@ -13,6 +13,7 @@ _ROOT = Path(__file__).parents[2]
 _SOURCES = ("tofssm_drake", "diagrams", "models", "scripts")
 
 _USE = """
+import importlib.resources
 import sys
 import tofssm_drake.scripts.main
 from tofssm_drake.diagrams.scenario import load_scenario, list_scenarios
@@ -30,6 +31,9 @@ for sensors in (8, 16):
     )
     print(plant.num_bodies(), plant.num_positions())
 assert tofssm_drake.scripts.main.run(["simulate", "--help"]) == 0
+assert tofssm_drake.scripts.main.run(["simulated-ur", "--help"]) == 0
+watchdog = importlib.resources.files("tofssm_drake.hardware")
+assert (watchdog / "tofssm_watchdog.script").is_file()
 """
 
 

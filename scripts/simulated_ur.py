@@ -1,0 +1,138 @@
+"""`tofssm simulated-ur`: a robot controller to try things out on."""
+
+from typing import Annotated
+
+import typer
+
+from tofssm_drake.errors import require
+from tofssm_drake.hardware.rtde_server import Faults, RtdeServer
+from tofssm_drake.hardware.simulated_ur import SimulatedUr, SimulatedUrConfig
+from tofssm_drake.robot.kinematics import RingKinematics
+from tofssm_drake.robot.program import make_program_path
+from tofssm_drake.robot.twin import make_cell_plant
+from tofssm_drake.scripts.simulate import catch_stop
+
+
+def simulated_ur(
+    host: Annotated[
+        str, typer.Option(help="Address to listen at.")
+    ] = "127.0.0.1",
+    port: Annotated[
+        int, typer.Option(help="RTDE's TCP port; 0: a free one.")
+    ] = 30004,
+    dashboard_port: Annotated[
+        int,
+        typer.Option(help="The dashboard's; 0: a free one, -1: none."),
+    ] = 29999,
+    series: Annotated[
+        str,
+        typer.Option(help="CB3 or e-Series.", metavar="cb3|e"),
+    ] = "cb3",
+    products: Annotated[
+        int, typer.Option(help="How many the program picks and places.")
+    ] = 10,
+    loop: Annotated[
+        bool, typer.Option(help="Begin anew when the program is done.")
+    ] = False,
+    start: Annotated[
+        str,
+        typer.Option(
+            help="When the program starts: at once, with the first heartbeat "
+            "or by the dashboard's play.",
+            metavar="now|heartbeat|dashboard",
+        ),
+    ] = "now",
+    ramp: Annotated[
+        float,
+        typer.Option(help="Time to follow the slider over its range, s."),
+    ] = 0.2,
+    watchdog: Annotated[
+        float,
+        typer.Option(
+            help="The program stops if the heartbeat stalls that long, s; "
+            "0: no watchdog."
+        ),
+    ] = 0.0,
+    watchdog_action: Annotated[
+        str, typer.Option(help="What it does.", metavar="stop|pause")
+    ] = "stop",
+    slider_resets_on_pause: Annotated[
+        bool, typer.Option(help="A pause puts the slider to 100 %.")
+    ] = False,
+    protective_stop_after_zero: Annotated[
+        bool,
+        typer.Option(help="The robot takes offence if the slider leaves 0."),
+    ] = False,
+    text_messages: Annotated[
+        bool, typer.Option(help="Text messages before replies and data.")
+    ] = False,
+    skip_every: Annotated[
+        int, typer.Option(help="Leave out each n-th data package; 0: none.")
+    ] = 0,
+    fragment: Annotated[
+        int, typer.Option(help="At most that many bytes at once; 0: all.")
+    ] = 0,
+) -> int:
+    """Simulate a UR10's controller: RTDE, dashboard and a running program.
+
+    It serves until Ctrl-C or SIGTERM. The line that it prints tells that it
+    is ready and where.
+    """
+    config = SimulatedUrConfig(
+        series=series,
+        loop=loop,
+        start=start,
+        ramp=ramp,
+        watchdog_timeout=watchdog,
+        watchdog_action=watchdog_action,
+        slider_resets_on_pause=slider_resets_on_pause,
+        protective_stop_after_zero=protective_stop_after_zero,
+    )
+    config.program.products = products
+    config.check("robot")
+    for name, number in (
+        ("--port", port),
+        ("--dashboard-port", dashboard_port),
+    ):
+        require(
+            -1 <= number <= 65535 and (number >= 0 or name != "--port"),
+            f"{name}: must be a TCP port from 0 to 65535, got {number}",
+        )
+    require(
+        skip_every >= 0 and skip_every != 1,
+        f"--skip-every: must be 0 or at least 2, got {skip_every}",
+    )
+    require(fragment >= 0, f"--fragment: must be 0 or more, got {fragment}")
+    kinematics = RingKinematics.from_plant(make_cell_plant())
+    robot = SimulatedUr(
+        config=config,
+        path=make_program_path(config.program, kinematics),
+        kinematics=kinematics,
+    )
+    # Compiles what the first cycle needs, so that the clock starts steady.
+    robot.step()
+    with catch_stop() as stopped:
+        server = RtdeServer(
+            robot=robot,
+            host=host,
+            port=port,
+            dashboard_port=None if dashboard_port < 0 else dashboard_port,
+            faults=Faults(
+                text_messages=text_messages,
+                skip_every=skip_every,
+                fragment=fragment,
+            ),
+        )
+        print(describe(server), flush=True)
+        server.run(lambda: bool(stopped))
+    return 0
+
+
+def describe(server: RtdeServer) -> str:
+    """Returns the line that tells where a simulated robot can be reached."""
+    host, port = server.address
+    line = f"simulated UR10, {server.robot.rate} Hz, RTDE at {host}:{port}"
+    if server.dashboard_address is None:
+        return line
+    host, port = server.dashboard_address
+    return f"{line}, dashboard at {host}:{port}"

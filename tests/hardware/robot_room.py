@@ -1,0 +1,53 @@
+"""A simulated robot in a thread of the test, and free ports for it."""
+
+import contextlib
+import functools
+import threading
+
+from tofssm_drake.hardware.rtde_server import Faults, RtdeServer
+from tofssm_drake.hardware.simulated_ur import SimulatedUr, SimulatedUrConfig
+from tofssm_drake.robot.kinematics import RingKinematics
+from tofssm_drake.robot.program import ProgramConfig, make_program_path
+from tofssm_drake.robot.twin import make_cell_plant
+
+
+@functools.cache
+def make_kinematics():
+    return RingKinematics.from_plant(make_cell_plant())
+
+
+@functools.cache
+def make_path(products=2):
+    return make_program_path(
+        ProgramConfig(products=products), make_kinematics()
+    )
+
+
+def make_robot(**settings):
+    """Makes a robot whose program has two products."""
+    settings.setdefault("program", ProgramConfig(products=2))
+    return SimulatedUr(
+        config=SimulatedUrConfig(**settings),
+        path=make_path(settings["program"].products),
+        kinematics=make_kinematics(),
+    )
+
+
+@contextlib.contextmanager
+def serve(robot=None, *, host="127.0.0.1", port=0, faults=None):
+    """Serves a robot in a thread; yields its RtdeServer."""
+    server = RtdeServer(
+        robot=make_robot() if robot is None else robot,
+        host=host,
+        port=port,
+        dashboard_port=0,
+        faults=Faults() if faults is None else faults,
+    )
+    stopped = threading.Event()
+    thread = threading.Thread(target=server.run, args=(stopped.is_set,))
+    thread.start()
+    try:
+        yield server
+    finally:
+        stopped.set()
+        thread.join()

@@ -1,0 +1,416 @@
+"""The simulated controller, judged byte by byte."""
+
+import contextlib
+import itertools
+import math
+import socket
+import struct
+import time
+import unittest
+
+from robot_room import make_robot, serve
+
+from tofssm_drake.errors import UserError
+from tofssm_drake.hardware.rtde_fields import OUTPUT_TYPES
+import tofssm_drake.hardware.rtde_protocol as rtde
+from tofssm_drake.hardware.rtde_protocol import PackageType
+import tofssm_drake.hardware.rtde_server as mut
+
+
+class RawClient:
+    """A socket with as little in front of it as can be."""
+
+    def __init__(self, address):
+        self.socket = socket.create_connection(address, 5.0)
+        self.reader = rtde.PackageReader()
+        self.waiting = []
+
+    def close(self):
+        self.socket.close()
+
+    def send(self, kind, payload=b""):
+        self.socket.sendall(
+            struct.pack(">HB", 3 + len(payload), kind) + payload
+        )
+
+    def receive(self, timeout=5.0):
+        """Returns the next package, None if none comes."""
+        self.socket.settimeout(timeout)
+        while not self.waiting:
+            try:
+                data = self.socket.recv(4096)
+            except TimeoutError:
+                return None
+            if not data:
+                raise EOFError
+            self.waiting += self.reader.feed(data)
+        return self.waiting.pop(0)
+
+    def ask(self, kind, payload=b""):
+        """Returns the next package of that type."""
+        self.send(ord(kind), payload)
+        while True:
+            answer, payload = self.receive()
+            if answer == ord(kind):
+                return payload
+
+    def set_up(self, names, frequency=125.0):
+        return self.ask("O", struct.pack(">d", frequency) + names)
+
+
+class TestServer(unittest.TestCase):
+    def setUp(self):
+        stack = contextlib.ExitStack()
+        self.addCleanup(stack.close)
+        self.robot = make_robot()
+        self.server = stack.enter_context(serve(self.robot))
+        self.stack = stack
+
+    def connect(self, version=2):
+        client = RawClient(self.server.address)
+        self.stack.callback(client.close)
+        if version == 2:
+            self.assertEqual(client.ask("V", b"\x00\x02"), b"\x01")
+        return client
+
+
+class TestHandshake(TestServer):
+    def test_versions(self):
+        dut = self.connect(version=1)
+        for version, accepted in ((0, 0), (3, 0), (300, 0), (1, 1), (2, 1)):
+            with self.subTest(version=version):
+                self.assertEqual(
+                    dut.ask("V", struct.pack(">H", version)), bytes([accepted])
+                )
+        self.assertEqual(dut.ask("v"), struct.pack(">4I", 3, 15, 8, 106))
+
+    def test_version_2_stream(self):
+        dut = self.connect()
+        self.assertEqual(
+            dut.set_up(b"timestamp,actual_q,robot_mode,"),
+            b"\x01DOUBLE,VECTOR6D,INT32",
+        )
+        self.assertEqual(dut.ask("S"), b"\x01")
+        kind, payload = dut.receive()
+        self.assertEqual(kind, PackageType.DATA_PACKAGE)
+        number, _, *q, mode = struct.unpack(">Bd6di", payload)
+        self.assertEqual((number, mode), (1, 7))
+        self.assertAlmostEqual(q[1], -2.1, delta=1.5)
+
+    def test_version_1_stream(self):
+        dut = self.connect(version=1)
+        self.assertEqual(
+            dut.ask("O", b"timestamp,actual_q"), b"DOUBLE,VECTOR6D"
+        )
+        self.assertEqual(dut.ask("S"), b"\x01")
+        times = []
+        for _ in range(3):
+            kind, payload = dut.receive()
+            self.assertEqual(kind, PackageType.DATA_PACKAGE)
+            times.append(struct.unpack(">7d", payload)[0])
+        # Whole rate.
+        self.assertAlmostEqual(times[2] - times[0], 0.016, delta=0.0041)
+
+    def test_unknown_outputs(self):
+        dut = self.connect()
+        reply = dut.set_up(b"timestamp,nonsense,ft_raw_wrench")
+        self.assertEqual(reply[1:], b"DOUBLE,NOT_FOUND,NOT_FOUND")
+        self.assertEqual(dut.ask("S"), b"\x00")
+        self.assertIsNone(dut.receive(timeout=0.05))
+
+    def test_frequencies(self):
+        dut = self.connect()
+        for frequency, divider in (
+            (125.0, 1),
+            (100.0, 1),
+            (62.5, 2),
+            (50.0, 2),
+            (40.0, 3),
+            (1.0, 125),
+        ):
+            with self.subTest(frequency=frequency):
+                dut.set_up(b"timestamp", frequency)
+                self.assertEqual(dut.ask("S"), b"\x01")
+                if divider < 10:
+                    times = [
+                        struct.unpack(">xd", dut.receive()[1])[0]
+                        for _ in range(4)
+                    ]
+                    steps = {
+                        round((b - a) / 0.008)
+                        for a, b in itertools.pairwise(times[1:])
+                    }
+                    # A late thread leaves out cycles, but never adds one.
+                    self.assertGreaterEqual(min(steps), divider)
+                    self.assertLessEqual(min(steps), divider + 2)
+                self.assertEqual(dut.ask("P"), b"\x01")
+        for frequency in (0.0, 0.9, 125.1, 500.0, -1.0, math.nan, math.inf):
+            with self.subTest(frequency=frequency):
+                dut.set_up(b"timestamp", frequency)
+                self.assertEqual(dut.ask("S"), b"\x00")
+
+    def test_start_and_pause_in_any_order(self):
+        dut = self.connect()
+        self.assertEqual(dut.ask("P"), b"\x01")
+        self.assertEqual(dut.ask("S"), b"\x00")
+        self.assertEqual(dut.set_up(b""), b"\x00")
+        self.assertEqual(dut.ask("S"), b"\x00")
+        dut.set_up(b"timestamp")
+        for _ in range(2):
+            self.assertEqual(dut.ask("S"), b"\x01")
+            self.assertIsNotNone(dut.receive())
+            self.assertEqual(dut.ask("S"), b"\x01")
+            self.assertEqual(dut.ask("P"), b"\x01")
+            self.assertIsNone(dut.receive(timeout=0.05))
+            self.assertEqual(
+                dut.ask("I", b"input_int_register_24"), dut_reply(dut)
+            )
+        # Another recipe takes the place of the one before.
+        dut.set_up(b"robot_mode")
+        self.assertEqual(dut.ask("S"), b"\x01")
+        self.assertEqual(dut.receive()[1], struct.pack(">Bi", 1, 7))
+
+
+_count = {}
+
+
+def dut_reply(dut):
+    """Inputs may be set up after START; their numbers count up."""
+    _count[dut] = _count.get(dut, 0) + 1
+    return bytes([_count[dut]]) + b"INT32"
+
+
+class TestInputs(TestServer):
+    def test_claims(self):
+        first, second = self.connect(), self.connect()
+        slider = b"speed_slider_mask,speed_slider_fraction"
+        self.assertEqual(first.ask("I", slider), b"\x01UINT32,DOUBLE")
+        # The same name in several recipes of one client.
+        self.assertEqual(first.ask("I", b"speed_slider_mask,"), b"\x02UINT32")
+        self.assertEqual(
+            second.ask("I", slider + b",input_int_register_0"),
+            b"\x00IN_USE,IN_USE,INT32",
+        )
+        # What was refused is not claimed.
+        self.assertEqual(first.ask("I", b"input_int_register_0"), b"\x03INT32")
+        self.assertEqual(
+            second.ask("I", b"nonsense,speed_slider_mask"),
+            b"\x00NOT_FOUND,IN_USE",
+        )
+        first.close()
+        deadline = time.monotonic() + 5
+        while second.ask("I", slider) != b"\x01UINT32,DOUBLE":
+            self.assertLess(time.monotonic(), deadline)
+
+    def test_fieldbus(self):
+        dut = self.connect()
+        self.server.do("simulate claim speed_slider_mask")
+        self.assertEqual(dut.ask("I", b"speed_slider_mask"), b"\x00IN_USE")
+        self.server.do("simulate release")
+        self.assertEqual(dut.ask("I", b"speed_slider_mask"), b"\x01UINT32")
+
+    def test_written_without_start(self):
+        dut = self.connect()
+        dut.ask("I", b"speed_slider_mask,speed_slider_fraction")
+        dut.send(ord("U"), struct.pack(">BId", 1, 1, 0.25))
+        dut.ask("v")
+        self.assertEqual(self.robot.slider, 0.25)
+
+    def test_echo_within_two_cycles(self):
+        dut = self.connect()
+        dut.set_up(b"timestamp,target_speed_fraction")
+        dut.ask("I", b"speed_slider_mask,speed_slider_fraction")
+        dut.ask("S")
+        written, _ = struct.unpack(">xdd", dut.receive()[1])
+        dut.send(ord("U"), struct.pack(">BId", 1, 1, 0.25))
+        fraction = 1.0
+        while fraction != 0.25:
+            seen, fraction = struct.unpack(">xdd", dut.receive()[1])
+        # One more than the two for a thread that is late.
+        self.assertLess(seen - written, 3.5 * 0.008)
+
+    def test_wrong_packages_are_told_and_forgiven(self):
+        dut = self.connect()
+        dut.ask("I", b"speed_slider_mask,speed_slider_fraction")
+        for kind, payload, text in (
+            ("U", b"", "unknown input recipe 0"),
+            ("U", b"\x02" + bytes(12), "unknown input recipe 2"),
+            ("U", b"\x01" + bytes(11), "data package of 12 bytes"),
+            ("X", b"", "unknown package type 88"),
+            ("V", b"\x00", "version request of 1 bytes"),
+            ("O", b"\x00", "output setup: too short"),
+            ("I", b"\xff", "not ASCII"),
+        ):
+            with self.subTest(text=text):
+                dut.send(ord(kind), payload)
+                kind, payload = dut.receive()
+                self.assertEqual(kind, PackageType.TEXT_MESSAGE)
+                self.assertIn(text, rtde.decode_text(payload).text)
+        # A client's own texts are no business of the robot's.
+        dut.send(ord("M"), b"\x02hi\x00\x03")
+        self.assertEqual(len(dut.ask("v")), 16)
+        self.assertEqual(self.robot.slider, 1.0)
+
+    def test_size_below_header_ends_the_connection(self):
+        dut, other = self.connect(), self.connect()
+        dut.socket.sendall(b"\x00\x02V")
+        with self.assertRaises(EOFError):
+            dut.receive()
+        self.assertEqual(len(other.ask("v")), 16)
+
+
+class TestStreams(TestServer):
+    def test_a_slow_client_holds_up_nobody(self):
+        slow, fast = self.connect(), self.connect()
+        names = ",".join(sorted(OUTPUT_TYPES)[:60]).encode()
+        for dut in (slow, fast):
+            dut.socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+        slow.set_up(names)
+        slow.ask("S")
+        fast.set_up(b"timestamp")
+        fast.ask("S")
+        times = [struct.unpack(">xd", fast.receive()[1])[0] for _ in range(60)]
+        self.assertAlmostEqual(times[-1] - times[0], 59 * 0.008, delta=0.1)
+
+    def test_faults(self):
+        dut = self.connect()
+        dut.set_up(b"timestamp")
+        dut.ask("S")
+
+        def read(count):
+            return [
+                struct.unpack(">xd", payload)[0]
+                for kind, payload in (dut.receive() for _ in range(count))
+                if kind == PackageType.DATA_PACKAGE
+            ]
+
+        def steps(times):
+            return [
+                round((b - a) / 0.008) for a, b in itertools.pairwise(times)
+            ]
+
+        times = read(2)
+        self.server.do("simulate skip 5")
+        self.assertGreaterEqual(max(steps(times + read(20))), 6)
+        self.server.do("simulate duplicate on")
+        self.assertIn(0, steps(read(20)))
+        self.server.do("simulate duplicate off")
+        self.server.do("simulate skip-every 3")
+        times = read(30)
+        self.assertGreaterEqual(sum(s >= 2 for s in steps(times)), 8)
+        self.server.do("simulate skip-every 0")
+        self.server.do("simulate fragment 1")
+        self.assertEqual(len(read(10)), 10)
+        self.server.do("simulate fragment 0")
+        self.server.do("simulate coalesce 4")
+        read(8)
+        dut.socket.settimeout(5)
+        while len(dut.socket.recv(4096)) % (4 * 12):
+            pass
+        self.server.do("simulate coalesce 1")
+        self.server.do("simulate clock 7")
+        self.assertGreater(max(steps(times + read(40))) * 0.008, 6.9)
+        self.server.do("simulate stall 0.2")
+        before = time.monotonic()
+        read(15)
+        self.assertGreater(time.monotonic() - before, 0.15)
+        self.server.do("simulate drop")
+        with self.assertRaises((EOFError, ConnectionError)):
+            read(1000)
+
+    def test_texts(self):
+        self.server.do("simulate text on")
+        dut = RawClient(self.server.address)
+        self.stack.callback(dut.close)
+        dut.send(ord("V"), b"\x00\x02")
+        # Still in version 1's form.
+        self.assertEqual(dut.receive(), (ord("M"), b"\x03before a reply"))
+        self.assertEqual(dut.receive(), (ord("V"), b"\x01"))
+        dut.set_up(b"timestamp")
+        dut.ask("S")
+        kinds = [dut.receive()[0] for _ in range(25)]
+        self.assertGreaterEqual(kinds.count(PackageType.TEXT_MESSAGE), 2)
+
+
+class TestDashboard(TestServer):
+    def test_conversation(self):
+        host, port = self.server.dashboard_address
+        with socket.create_connection((host, port), 5.0) as console:
+            lines = console.makefile("rw", newline="\n")
+
+            def say(text):
+                lines.write(text + "\n")
+                lines.flush()
+                return lines.readline().strip()
+
+            self.assertEqual(
+                lines.readline().strip(),
+                "Connected: Universal Robots Dashboard Server",
+            )
+            for text, answer in (
+                ("robotmode", "Robotmode: RUNNING"),
+                ("safetymode", "Safetymode: NORMAL"),
+                ("PolyscopeVersion", "URSoftware 3.15.8.106"),
+                ("running", "Program running: true"),
+                ("programState", "PLAYING pick_and_place.urp"),
+                ("pause", "Pausing program"),
+                ("running", "Program running: false"),
+                ("play", "Starting program"),
+                ("simulate safety 3", "simulating safety 3"),
+                ("safetymode", "Safetymode: PROTECTIVE_STOP"),
+                ("play", "Failed to execute: play"),
+                ("unlock protective stop", "Protective stop releasing"),
+                ("safetymode", "Safetymode: NORMAL"),
+                ("stop", "Stopped"),
+                ("simulate slider 0.5", "simulating slider 0.5"),
+                ("nonsense", "could not understand: 'nonsense'"),
+                ("simulate", "could not understand: 'simulate'"),
+                ("simulate x", "could not understand: 'simulate x'"),
+                (
+                    "simulate slider high",
+                    "could not understand: 'simulate slider high'",
+                ),
+                (
+                    "simulate text maybe",
+                    "could not understand: 'simulate text maybe'",
+                ),
+                (
+                    "simulate fragment -1",
+                    "could not understand: 'simulate fragment -1'",
+                ),
+                (
+                    "simulate clock nan",
+                    "could not understand: 'simulate clock nan'",
+                ),
+                (
+                    "simulate slider 1 2",
+                    "could not understand: 'simulate slider 1 2'",
+                ),
+                ("quit", "Disconnected"),
+            ):
+                with self.subTest(text=text):
+                    self.assertEqual(say(text), answer)
+            self.assertEqual(lines.readline(), "")
+        self.assertEqual(self.robot.slider, 0.5)
+
+    def test_frozen_slider(self):
+        self.server.do("simulate slider-frozen on")
+        dut = self.connect()
+        dut.ask("I", b"speed_slider_mask,speed_slider_fraction")
+        dut.send(ord("U"), struct.pack(">BId", 1, 1, 0.25))
+        dut.ask("v")
+        self.assertEqual(self.robot.slider, 1.0)
+
+
+class TestAddress(unittest.TestCase):
+    def test_taken(self):
+        with socket.create_server(("127.0.0.1", 0)) as taken:
+            host, port = taken.getsockname()
+            with self.assertRaisesRegex(
+                UserError, f"can not listen at {host}:{port}: "
+            ):
+                mut.RtdeServer(robot=make_robot(), host=host, port=port)
+
+    def test_nobodys(self):
+        with self.assertRaisesRegex(UserError, "can not listen"):
+            mut.RtdeServer(robot=make_robot(), host="192.0.2.1", port=0)

@@ -1,0 +1,416 @@
+import dataclasses as dc
+import itertools
+import math
+import unittest
+
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tofssm_drake.errors import UserError
+import tofssm_drake.hardware.slider as mut
+from tofssm_drake.hardware.slider import SliderPhase
+from tofssm_drake.messages import RobotReport
+
+_PERIOD = 0.008
+
+
+class Robot:
+    """A robot with a slider: what is written shows `delay` reports later."""
+
+    def __init__(self, *, delay=1, slider=1.0):
+        self.delay = delay
+        self.queue = []
+        self.slider = slider
+        self.modes = {"robot_mode": 7, "safety_mode": 1, "runtime_state": 2}
+        self.obeys = True
+        self.sequence = -1
+        self.session = 0
+        self.timestamp = 100.0
+        self.reports = []
+
+    def report(self):
+        self.sequence += 1
+        self.timestamp += _PERIOD
+        if len(self.queue) >= self.delay:
+            command = self.queue.pop(0)
+            if command.mask and self.obeys:
+                self.slider = command.speed_fraction
+        return RobotReport(
+            sequence=self.sequence,
+            session=self.session,
+            timestamp=self.timestamp,
+            target_speed_fraction=self.slider,
+            **self.modes,
+        )
+
+
+def run(robot, wanted, *, cycles, state=None, config=None):
+    """Runs slider and robot; returns all states, the newest last."""
+    config = config or mut.SliderConfig()
+    state = state or mut.SliderState()
+    states = []
+    for _ in range(cycles):
+        state = mut.step_slider(config, state, robot.report(), wanted)
+        robot.queue.append(state.command)
+        states.append(state)
+    return states
+
+
+def settle(robot, wanted=0.8, **settings):
+    """Runs until the slider follows; returns the state."""
+    state = run(robot, wanted, cycles=200, **settings)[-1]
+    assert state.phase == SliderPhase.FOLLOWING, state
+    assert abs(robot.slider - wanted) < 1e-9
+    return state
+
+
+class TestStart(unittest.TestCase):
+    def test_nothing_is_sent_before_a_report(self):
+        dut = mut.step_slider(
+            mut.SliderConfig(), mut.SliderState(), RobotReport(), 1.0
+        )
+        self.assertEqual(dut.command.sequence, -1)
+        self.assertEqual(dut.phase, SliderPhase.WAITING)
+
+    def test_first_to_the_lowest_then_slowly_up(self):
+        robot = Robot()
+        states = run(robot, 1.0, cycles=100)
+        self.assertEqual(states[0].phase, SliderPhase.WAITING)
+        self.assertEqual(states[0].command.mask, 1)
+        self.assertEqual(states[0].command.speed_fraction, 0.0)
+        self.assertEqual(states[1].phase, SliderPhase.RISING)
+        written = [state.command.speed_fraction for state in states]
+        steps = [b - a for a, b in itertools.pairwise(written)]
+        self.assertLessEqual(max(steps), 2.0 * _PERIOD + 1e-9)
+        self.assertGreaterEqual(min(steps), 0.0)
+        self.assertEqual(states[-1].phase, SliderPhase.FOLLOWING)
+        self.assertEqual(robot.slider, 1.0)
+
+    def test_same_report_changes_nothing(self):
+        robot = Robot()
+        report = robot.report()
+        config = mut.SliderConfig()
+        first = mut.step_slider(config, mut.SliderState(), report, 1.0)
+        again = mut.step_slider(config, first, report, 0.2)
+        self.assertIs(again, first)
+
+
+class TestFollowing(unittest.TestCase):
+    def test_mask_only_where_needed(self):
+        robot = Robot(delay=2)
+        state = settle(robot)
+        states = run(robot, 0.8, cycles=20, state=state)
+        self.assertEqual({s.command.mask for s in states}, {0})
+        states = run(robot, 0.3, cycles=20, state=states[-1])
+        self.assertEqual(states[0].command.mask, 1)
+        self.assertEqual(states[0].command.speed_fraction, 0.3)
+        self.assertEqual({s.command.mask for s in states[1:]}, {0})
+
+    def test_heartbeat_counts_every_report(self):
+        robot = Robot()
+        beats = [s.command.heartbeat for s in run(robot, 1.0, cycles=50)]
+        self.assertEqual(beats, list(range(beats[0], beats[0] + 50)))
+        state = dc.replace(
+            mut.SliderState(),
+            command=dc.replace(mut.SliderState().command, heartbeat=2**31 - 1),
+        )
+        (state,) = run(robot, 1.0, cycles=1, state=state)
+        self.assertEqual(state.command.heartbeat, 0)
+
+    def test_stops_at_once(self):
+        robot = Robot()
+        state = settle(robot)
+        (state,) = run(robot, 0.0, cycles=1, state=state)
+        self.assertEqual(state.command.mask, 1)
+        self.assertEqual(state.command.speed_fraction, 0.0)
+
+    def test_not_a_number_stops(self):
+        for wanted, expected in (
+            (math.nan, 0.0),
+            (-1.0, 0.0),
+            (-math.inf, 0.0),
+            (math.inf, 1.0),
+        ):
+            with self.subTest(wanted=wanted):
+                robot = Robot()
+                state = settle(robot)
+                dut = run(robot, wanted, cycles=1, state=state)[-1]
+                self.assertEqual(dut.command.speed_fraction, expected)
+
+    def test_minimum(self):
+        config = mut.SliderConfig(minimum_fraction=0.02)
+        robot = Robot()
+        states = run(robot, 0.0, cycles=10, config=config)
+        self.assertEqual(robot.slider, 0.02)
+        self.assertEqual(states[-1].phase, SliderPhase.FOLLOWING)
+
+    def test_echo_may_be_rounded(self):
+        class Rounding(Robot):
+            def report(self):
+                report = super().report()
+                return dc.replace(
+                    report,
+                    target_speed_fraction=round(
+                        report.target_speed_fraction, 2
+                    ),
+                )
+
+        states = run(Rounding(), 1 / 3, cycles=200)
+        self.assertEqual(states[-1].phase, SliderPhase.FOLLOWING)
+        self.assertEqual({s.command.mask for s in states[100:]}, {0})
+
+    @given(
+        st.lists(st.floats(0, 1), min_size=5, max_size=60), st.integers(1, 4)
+    )
+    @settings(max_examples=100, deadline=None)
+    def test_an_honest_robot_is_never_at_fault(self, fractions, delay):
+        """Whatever is wanted, and however often it changes."""
+        robot = Robot(delay=delay)
+        state = mut.SliderState()
+        for wanted in fractions:
+            states = run(robot, wanted, cycles=1 + delay, state=state)
+            state = states[-1]
+            for dut in states:
+                self.assertNotEqual(dut.phase, SliderPhase.FAULT)
+                self.assertLessEqual(dut.command.speed_fraction, wanted)
+                self.assertEqual(dut.operator_fraction, 1.0)
+
+
+class TestFault(unittest.TestCase):
+    def test_lost_write_is_written_again(self):
+        robot = Robot()
+        state = settle(robot)
+        robot.obeys = False
+        states = run(robot, 0.2, cycles=6, state=state)
+        robot.obeys = True
+        states += run(robot, 0.2, cycles=20, state=states[-1])
+        masks = [s.command.mask for s in states]
+        self.assertEqual(masks[0], 1)
+        self.assertEqual(masks[1:6], [0] * 5)
+        self.assertEqual(masks[6], 1)
+        self.assertNotIn(SliderPhase.FAULT, [s.phase for s in states])
+        self.assertEqual(robot.slider, 0.2)
+
+    def test_frozen_slider_is_a_fault(self):
+        for cycles in (1, 5, 20):
+            with self.subTest(confirm_cycles=cycles):
+                config = mut.SliderConfig(confirm_cycles=cycles)
+                robot = Robot()
+                state = settle(robot)
+                robot.obeys = False
+                states = run(
+                    robot,
+                    0.2,
+                    cycles=2 * cycles + 4,
+                    state=state,
+                    config=config,
+                )
+                phases = [s.phase for s in states]
+                first = phases.index(SliderPhase.FAULT)
+                # Twice the time to confirm, and the reports at its ends.
+                self.assertLessEqual(first, 2 * cycles + 2)
+                self.assertGreaterEqual(first, 2 * cycles)
+                self.assertIn("slider does not obey", states[-1].reason)
+
+    def test_in_a_fault_zero_is_written_and_the_heartbeat_stands(self):
+        robot = Robot()
+        state = settle(robot)
+        robot.obeys = False
+        states = run(robot, 0.2, cycles=40, state=state)
+        fault = [s for s in states if s.phase == SliderPhase.FAULT]
+        self.assertGreater(len(fault), 20)
+        self.assertEqual(len({s.command.heartbeat for s in fault}), 1)
+        self.assertEqual(
+            {(s.command.mask, s.command.speed_fraction) for s in fault},
+            {(1, 0.0)},
+        )
+        # It ends when 0 is seen, and goes on slowly.
+        robot.obeys = True
+        states = run(robot, 1.0, cycles=100, state=states[-1])
+        phases = list(dict.fromkeys(s.phase for s in states))
+        self.assertEqual(
+            phases,
+            [SliderPhase.FAULT, SliderPhase.RISING, SliderPhase.FOLLOWING],
+        )
+        written = [s.command.speed_fraction for s in states]
+        self.assertLessEqual(
+            max(b - a for a, b in itertools.pairwise(written)),
+            2.0 * _PERIOD + 1e-9,
+        )
+
+    def test_no_echo_is_a_fault(self):
+        robot = Robot()
+        state = settle(robot)
+        robot.slider = math.nan
+        robot.obeys = False
+        (state,) = run(robot, 0.8, cycles=1, state=state)
+        self.assertEqual(state.phase, SliderPhase.FAULT)
+
+
+class TestLateComputer(unittest.TestCase):
+    def test_only_every_twentieth_report_is_seen(self):
+        """Being late is neither disobedience nor a leap upwards."""
+        config = mut.SliderConfig()
+        robot = Robot()
+        state = mut.SliderState()
+        before = 0.0
+        for i in range(200):
+            wanted = 1.0 if i % 40 < 35 else 0.0
+            for _ in range(19):
+                robot.report()
+            state = mut.step_slider(config, state, robot.report(), wanted)
+            robot.queue.append(state.command)
+            self.assertNotEqual(state.phase, SliderPhase.FAULT)
+            self.assertEqual(state.operator_fraction, 1.0)
+            if i < 9:
+                fraction = state.command.speed_fraction
+                self.assertLessEqual(fraction - before, 0.1 + 1e-9)
+                before = fraction
+
+
+class TestOperator(unittest.TestCase):
+    def test_lower_holds(self):
+        robot = Robot()
+        state = settle(robot)
+        robot.slider = 0.3
+        states = run(robot, 0.8, cycles=50, state=state)
+        self.assertEqual({s.phase for s in states}, {SliderPhase.YIELDING})
+        self.assertEqual({s.command.mask for s in states}, {0})
+        self.assertIn("someone has set the slider to 0.30", states[0].reason)
+        # The law may want less still, and then more again.
+        states = run(robot, 0.1, cycles=10, state=states[-1])
+        self.assertEqual(robot.slider, 0.1)
+        states = run(robot, 0.8, cycles=10, state=states[-1])
+        self.assertEqual(robot.slider, 0.3)
+        # Until the person allows more.
+        robot.slider = 0.6
+        states = run(robot, 0.8, cycles=10, state=states[-1])
+        self.assertEqual(robot.slider, 0.6)
+        robot.slider = 1.0
+        states = run(robot, 0.8, cycles=10, state=states[-1])
+        self.assertEqual(robot.slider, 0.8)
+        self.assertEqual(states[-1].phase, SliderPhase.FOLLOWING)
+
+    def test_higher_is_set_back_at_once(self):
+        robot = Robot()
+        state = settle(robot, 0.2)
+        robot.slider = 0.9
+        states = run(robot, 0.2, cycles=10, state=state)
+        self.assertEqual(states[0].command.mask, 1)
+        self.assertEqual(states[0].command.speed_fraction, 0.2)
+        self.assertIn("moved to 0.90, is set to 0.20", states[0].reason)
+        self.assertEqual(robot.slider, 0.2)
+        self.assertEqual(states[-1].phase, SliderPhase.FOLLOWING)
+
+    def test_lower_is_set_back_if_asked_to(self):
+        config = mut.SliderConfig(yield_to_operator=False)
+        robot = Robot()
+        state = settle(robot, config=config)
+        robot.slider = 0.3
+        run(robot, 0.8, cycles=10, state=state, config=config)
+        self.assertEqual(robot.slider, 0.8)
+
+    def test_zero_holds_against_a_minimum(self):
+        config = mut.SliderConfig(minimum_fraction=0.02)
+        robot = Robot()
+        state = settle(robot, config=config)
+        robot.slider = 0.0
+        run(robot, 0.8, cycles=10, state=state, config=config)
+        self.assertEqual(robot.slider, 0.0)
+
+
+class TestHold(unittest.TestCase):
+    def test_reasons(self):
+        for modes, reason in (
+            ({"robot_mode": 3}, "robot mode: power off"),
+            ({"robot_mode": 99}, "robot mode: unknown (99)"),
+            ({"safety_mode": 3}, "safety mode: protective stop"),
+            ({"safety_mode": 7}, "safety mode: robot emergency stop"),
+            ({"safety_mode": 77}, "safety mode: unknown (77)"),
+            ({"safety_mode": -1}, "safety mode: unknown"),
+            ({"safety_status": 5}, "safety mode: safeguard stop"),
+            ({"runtime_state": 4}, "program: paused"),
+            ({"runtime_state": 1}, "program: stopped"),
+            ({"runtime_state": -1}, "program: unknown (-1)"),
+            ({"safety_mode": 2}, ""),
+            ({"safety_status": 1}, ""),
+        ):
+            with self.subTest(modes=modes):
+                robot = Robot()
+                robot.modes |= modes
+                self.assertEqual(mut.find_hold(robot.report()), reason)
+
+    def test_lowest_while_it_lasts_then_slowly_up(self):
+        robot = Robot()
+        state = settle(robot)
+        robot.modes["runtime_state"] = 4
+        states = run(robot, 0.8, cycles=20, state=state)
+        self.assertEqual(states[0].phase, SliderPhase.HOLDING)
+        self.assertEqual(states[0].command.speed_fraction, 0.0)
+        self.assertEqual(states[0].reason, "program: paused")
+        # The heartbeat goes on: the link is fine.
+        self.assertNotEqual(
+            states[-1].command.heartbeat, states[-2].command.heartbeat
+        )
+        robot.modes["runtime_state"] = 2
+        states = run(robot, 0.8, cycles=200, state=states[-1])
+        self.assertEqual(states[0].phase, SliderPhase.RISING)
+        self.assertLess(states[10].command.speed_fraction, 0.2)
+        self.assertEqual(states[-1].phase, SliderPhase.FOLLOWING)
+
+    def test_pause_that_resets_the_slider(self):
+        robot = Robot()
+        state = settle(robot)
+        robot.modes["runtime_state"] = 4
+        robot.slider = 1.0
+        states = run(robot, 0.8, cycles=20, state=state)
+        self.assertEqual(robot.slider, 0.0)
+        self.assertNotIn(SliderPhase.FAULT, {s.phase for s in states})
+
+    def test_protective_stop_after_zero_is_told(self):
+        robot = Robot()
+        state = settle(robot)
+        states = run(robot, 0.0, cycles=10, state=state)
+        states = run(robot, 0.8, cycles=3, state=states[-1])
+        robot.modes["safety_mode"] = 3
+        states = run(robot, 0.8, cycles=300, state=states[-1])
+        for dut in states[0], states[-1]:
+            self.assertIn("protective stop, right after", dut.reason)
+        # One that comes of itself is not blamed on that.
+        robot = Robot()
+        state = settle(robot)
+        robot.modes["safety_mode"] = 3
+        (dut,) = run(robot, 0.8, cycles=1, state=state)
+        self.assertEqual(dut.reason, "safety mode: protective stop")
+
+
+class TestSession(unittest.TestCase):
+    def test_new_connection_begins_anew(self):
+        robot = Robot()
+        state = settle(robot)
+        beat = state.command.heartbeat
+        robot.session, robot.timestamp = 1, 5.0
+        robot.queue.clear()
+        states = run(robot, 0.8, cycles=200, state=state)
+        self.assertEqual(states[0].phase, SliderPhase.WAITING)
+        self.assertEqual(states[0].command.mask, 1)
+        self.assertEqual(states[0].command.speed_fraction, 0.0)
+        self.assertEqual(states[0].command.heartbeat, beat + 1)
+        self.assertEqual(states[1].phase, SliderPhase.RISING)
+        self.assertEqual(robot.slider, 0.8)
+
+
+class TestConfig(unittest.TestCase):
+    def test_settings_are_checked(self):
+        for settings_, message in (
+            ({"confirm_cycles": 0}, "slider.confirm_cycles"),
+            ({"tolerance": 0.0}, "slider.tolerance"),
+            ({"minimum_fraction": 0.2}, "slider.minimum_fraction"),
+            ({"minimum_fraction": math.nan}, "slider.minimum_fraction"),
+            ({"rise_rate": 0.0}, "slider.rise_rate"),
+        ):
+            with (
+                self.subTest(settings=settings_),
+                self.assertRaisesRegex(UserError, message),
+            ):
+                mut.SliderConfig(**settings_).check("slider")

@@ -1,0 +1,1 @@
+"""Real robots and sensors, and their stand-ins on the same wires."""

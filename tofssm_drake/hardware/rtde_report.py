@@ -1,0 +1,141 @@
+"""What of a controller's outputs goes where in a `RobotReport`."""
+
+import math
+
+import numpy as np
+
+import tofssm_drake.hardware.rtde_protocol as rtde
+from tofssm_drake.hardware.rtde_protocol import RtdeError
+from tofssm_drake.messages import RobotReport
+
+# Vectors first, so that one array holds them all.
+_VECTORS = {
+    "position": "actual_q",
+    "velocity": "actual_qd",
+    "acceleration_commanded": "target_qdd",
+    "tcp_pose": "actual_TCP_pose",
+    "tcp_velocity": "actual_TCP_speed",
+}
+_SCALARS = {
+    "timestamp": "timestamp",
+    "digital_inputs": "actual_digital_input_bits",
+    "digital_outputs": "actual_digital_output_bits",
+    "robot_mode": "robot_mode",
+    "safety_mode": "safety_mode",
+    "safety_status": "safety_status",
+    "robot_status_bits": "robot_status_bits",
+    "safety_status_bits": "safety_status_bits",
+    "runtime_state": "runtime_state",
+    "speed_scaling": "speed_scaling",
+    "target_speed_fraction": "target_speed_fraction",
+}
+REQUIRED = {
+    "timestamp",
+    "actual_q",
+    "actual_qd",
+    "robot_mode",
+    "safety_mode",
+    "runtime_state",
+    "target_speed_fraction",
+}
+"""Outputs without which the robot can not be watched."""
+REQUIRED_LENIENT = {"timestamp", "actual_q", "actual_qd"}
+"""Those that even a lenient client must have."""
+
+
+def list_outputs(products_register: int) -> list[str]:
+    """Returns the names to ask for; `ReportMaker` counts on their order.
+
+    Args:
+        products_register: output_int_register of the products.
+    """
+    return [
+        *_VECTORS.values(),
+        *_SCALARS.values(),
+        f"output_int_register_{products_register}",
+    ]
+
+
+class ReportMaker:
+    """Makes reports of data packages of one recipe.
+
+    Args:
+        recipe: Of the outputs; its first fields are vectors of six.
+        frequency: Packages per second, to count the missing ones.
+        products_register: Number of the register of products.
+        clock_jump: Largest step forth of the robot's clock, s.
+    """
+
+    def __init__(
+        self,
+        recipe: rtde.Recipe,
+        *,
+        frequency: float,
+        products_register: int,
+        clock_jump: float,
+    ):
+        self._period = 1.0 / frequency
+        self._clock_jump = clock_jump
+        names = list(recipe.names)
+        self._vectors = [n for n in _VECTORS if _VECTORS[n] in names]
+        self._absent = {
+            name: value
+            for name, value in vars(RobotReport()).items()
+            if name in _VECTORS and name not in self._vectors
+        }
+        fields = {
+            wire: name
+            for name, wire in (
+                *_SCALARS.items(),
+                ("products_placed", f"output_int_register_{products_register}"),
+            )
+        }
+        self._scalars = [fields[n] for n in names[len(self._vectors) :]]
+        for name, value in vars(RobotReport()).items():
+            if name in fields.values() and name not in self._scalars:
+                self._absent[name] = value
+
+    def __call__(
+        self,
+        flat: tuple,
+        *,
+        before: RobotReport,
+        time: float,
+        last: float,
+        session: int,
+    ) -> RobotReport:
+        """Returns the report of a package.
+
+        Args:
+            flat: All numbers of the package.
+            before: The report before this one.
+            time: When it arrived, s.
+            last: The timestamp before in this session, s; NaN: none.
+            session: Number of the session.
+
+        Raises:
+            RtdeError: A number is not finite.
+        """
+        count = 6 * len(self._vectors)
+        vectors = np.array(flat[:count]).reshape(-1, 6)
+        vectors.setflags(write=False)
+        values = dict(zip(self._scalars, flat[count:], strict=True))
+        timestamp = values["timestamp"]
+        if not (np.isfinite(vectors).all() and math.isfinite(timestamp)):
+            raise RtdeError("data package: not a number")
+        missed = before.missed
+        step = timestamp - last
+        # Of the first package nothing is true: its step is not a number.
+        if step < 0 or step > self._clock_jump:
+            session += 1
+        elif step > 0:
+            missed += max(round(step / self._period) - 1, 0)
+        return RobotReport.of_read_only(
+            sequence=before.sequence + 1,
+            session=session,
+            missed=missed,
+            time=time,
+            **dict(zip(self._vectors, vectors, strict=True)),
+            **values,
+            **self._absent,
+        )

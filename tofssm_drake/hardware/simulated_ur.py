@@ -1,0 +1,451 @@
+"""A simulated UR10 with its program, slider, modes and registers; no sockets.
+
+It stands in for a robot and its controller where there is none. `step` is one
+control cycle: inputs that arrived are applied, the program goes on at the
+speed that the slider allows, and `outputs` is what the controller would tell
+in that cycle. The server around it is `rtde_server.py`.
+"""
+
+import dataclasses as dc
+import math
+
+import numpy as np
+from pydrake.math import RotationMatrix
+
+from tofssm_drake.errors import require
+from tofssm_drake.hardware.rtde_fields import (
+    ECHOED_TYPES,
+    INPUT_TYPES,
+    OUTPUT_TYPES,
+    RobotMode,
+    RobotStatusBit,
+    RuntimeState,
+    SafetyMode,
+    SafetyStatusBit,
+)
+from tofssm_drake.robot.kinematics import RingKinematics, calc_link_poses
+from tofssm_drake.robot.program import ProgramConfig, ProgramPath
+
+_SERIES = {
+    "cb3": (125, (3, 15, 8, 106)),
+    "e": (500, (5, 12, 4, 1101)),
+}
+# Fields that neither of these software versions has.
+_TOO_NEW = {"actual_current_as_torque"}
+_E_SERIES_ONLY = {"ft_raw_wrench"}
+
+_SAFETY_BITS = {
+    SafetyMode.NORMAL: SafetyStatusBit.NORMAL,
+    SafetyMode.REDUCED: SafetyStatusBit.REDUCED,
+    SafetyMode.PROTECTIVE_STOP: SafetyStatusBit.PROTECTIVE_STOPPED,
+    SafetyMode.RECOVERY: SafetyStatusBit.RECOVERY,
+    SafetyMode.SAFEGUARD_STOP: SafetyStatusBit.SAFEGUARD_STOPPED,
+    SafetyMode.SYSTEM_EMERGENCY_STOP: SafetyStatusBit.SYSTEM_EMERGENCY_STOPPED
+    | SafetyStatusBit.EMERGENCY_STOPPED,
+    SafetyMode.ROBOT_EMERGENCY_STOP: SafetyStatusBit.ROBOT_EMERGENCY_STOPPED
+    | SafetyStatusBit.EMERGENCY_STOPPED,
+    SafetyMode.VIOLATION: SafetyStatusBit.VIOLATION,
+    SafetyMode.FAULT: SafetyStatusBit.FAULT,
+}
+_MAY_MOVE = (SafetyMode.NORMAL, SafetyMode.REDUCED)
+
+
+@dc.dataclass(kw_only=True)
+class SimulatedUrConfig:
+    """What kind of robot is simulated and how it behaves."""
+
+    # "cb3": 125 Hz, software 3.15; "e": e-Series, 500 Hz, software 5.12.
+    series: str = "cb3"
+
+    # The task; the same as in simulation.
+    program: ProgramConfig = dc.field(default_factory=ProgramConfig)
+
+    # Begin anew when the program is done.
+    loop: bool = False
+
+    # When the program starts: "now", with the first "heartbeat" (change of
+    # the heartbeat register), or by the dashboard's "play".
+    start: str = "now"
+
+    # Time that the speed along the path takes to follow the slider over its
+    # full range, s; 0: at once (assumed: there is no public figure).
+    ramp: float = 0.2
+
+    # Time from full speed to standstill when the program pauses or stops, s
+    # (assumed), and in a protective stop, s (the safety system's limit for
+    # stops is 0.5 s).
+    pause_time: float = 0.2
+    protective_stop_time: float = 0.1
+
+    # The robot program's watchdog: it acts if the heartbeat register does not
+    # change for that long while the program plays, s; 0: not loaded. The
+    # action is "pause" or "stop".
+    watchdog_timeout: float = 0.0
+    watchdog_action: str = "stop"
+
+    # input_int_register of the heartbeat, output_int_register in which the
+    # program counts products, digital output of the gripper.
+    heartbeat_register: int = 24
+    products_register: int = 24
+    gripper_output: int = 0
+
+    # What some robots were reported to do: the slider jumps to 100 % when the
+    # program pauses; a protective stop when the slider leaves 0 while the
+    # program plays.
+    slider_resets_on_pause: bool = False
+    protective_stop_after_zero: bool = False
+
+    # The controller's clock at the start, s.
+    initial_timestamp: float = 100.0
+
+    def check(self, where: str) -> None:
+        """Raises UserError with one line if a setting is out of range."""
+        for name, known in (
+            ("series", tuple(_SERIES)),
+            ("start", ("now", "heartbeat", "dashboard")),
+            ("watchdog_action", ("pause", "stop")),
+        ):
+            require(
+                getattr(self, name) in known,
+                f"{where}.{name}: {getattr(self, name)!r} is unknown, use "
+                f"one of {', '.join(known)}",
+            )
+        for name, largest in (
+            ("ramp", 10.0),
+            ("pause_time", 10.0),
+            ("protective_stop_time", 10.0),
+            ("watchdog_timeout", 60.0),
+            ("initial_timestamp", 1e9),
+        ):
+            require(
+                0 <= getattr(self, name) <= largest,
+                f"{where}.{name}: must be from 0 to {largest:g} s, "
+                f"got {getattr(self, name):g}",
+            )
+        for name, largest in (
+            ("heartbeat_register", 47),
+            ("products_register", 47),
+            ("gripper_output", 17),
+        ):
+            require(
+                0 <= getattr(self, name) <= largest,
+                f"{where}.{name}: must be from 0 to {largest}, "
+                f"got {getattr(self, name)}",
+            )
+        self.program.check(f"{where}.program")
+
+
+class SimulatedUr:
+    """The robot: steps of one control cycle, and what people do to it.
+
+    Args:
+        config: Settings; checked.
+        path: The motion of its program.
+        kinematics: Of the robot, for the pose of its tool.
+    """
+
+    def __init__(
+        self,
+        *,
+        config: SimulatedUrConfig,
+        path: ProgramPath,
+        kinematics: RingKinematics,
+    ):
+        config.check("robot")
+        self._config = config
+        self._path = path
+        self._kinematics = kinematics
+        self.rate, self.version = _SERIES[config.series]
+        """Control cycles per second; major, minor, bugfix, build."""
+        self.output_types = {
+            name: kind
+            for name, kind in (OUTPUT_TYPES | ECHOED_TYPES).items()
+            if name not in _TOO_NEW
+            and (config.series == "e" or name not in _E_SERIES_ONLY)
+        }
+        self.input_types = dict(INPUT_TYPES)
+        self.inputs = {
+            name: (0.0,) * 6 if kind == "VECTOR6D" else 0
+            for name, kind in INPUT_TYPES.items()
+        }
+        self.outputs = {
+            name: _make_zero(kind) for name, kind in self.output_types.items()
+        }
+        self.cycle = 0
+        """Counts control cycles; not the controller's clock."""
+        self.timestamp = config.initial_timestamp
+        self.slider = 1.0
+        self.slider_frozen = False
+        """A fault to inject: inputs do not move the slider."""
+        self.safety_mode = int(SafetyMode.NORMAL)
+        self.runtime_state = RuntimeState.STOPPED
+        self.path_time = 0.0
+        self.speed_fraction = 0.0
+        """How fast the path is run, of nominal: follows slider and pauses."""
+        self._beat = None
+        self._beat_time = self.timestamp
+        self.outputs |= {
+            "joint_temperatures": (30.0,) * 6,
+            "joint_mode": (253,) * 6,
+            "actual_main_voltage": 48.0,
+            "actual_robot_voltage": 48.0,
+            "actual_joint_voltage": (48.0,) * 6,
+            "robot_mode": int(RobotMode.RUNNING),
+            "speed_scaling": 1.0,
+        }
+        if config.start == "now":
+            self.play()
+        self._write_outputs(np.zeros(6))
+
+    def receive(self, values: dict) -> None:
+        """Takes inputs that a client wrote, for the cycle to come."""
+        if values.get("speed_slider_mask", 0) & 1 and not self.slider_frozen:
+            fraction = values.get("speed_slider_fraction", math.nan)
+            if math.isfinite(fraction):
+                self.move_slider(fraction)
+        for kind, first in (
+            ("standard", 0),
+            ("configurable", 8),
+            ("tool", 16),
+        ):
+            name = f"{kind}_digital_output"
+            mask = values.get(f"{name}_mask", 0)
+            for bit in range(8):
+                if mask >> bit & 1:
+                    self._set_output(first + bit, values[name] >> bit & 1)
+        for i in (0, 1):
+            if values.get("standard_analog_output_mask", 0) >> i & 1:
+                self.outputs[f"standard_analog_output{i}"] = values[
+                    f"standard_analog_output_{i}"
+                ]
+        self.inputs.update(values)
+        self.outputs |= {n: values[n] for n in ECHOED_TYPES.keys() & values}
+
+    def move_slider(self, fraction: float) -> None:
+        """Moves the speed slider, as a client or a person does."""
+        fraction = min(max(fraction, 0.0), 1.0)
+        if (
+            self._config.protective_stop_after_zero
+            and self.slider == 0.0 < fraction
+            and self.runtime_state == RuntimeState.PLAYING
+        ):
+            self.set_safety_mode(SafetyMode.PROTECTIVE_STOP)
+        self.slider = fraction
+
+    def play(self) -> bool:
+        """Starts the program or resumes it; returns whether it may.
+
+        A program that was stopped goes on where it was: its products are
+        where it left them. One that is done begins anew.
+        """
+        if self.safety_mode not in _MAY_MOVE:
+            return False
+        if self.runtime_state == RuntimeState.PAUSED:
+            self.runtime_state = RuntimeState.RESUMING
+        elif self.runtime_state in (
+            RuntimeState.STOPPED,
+            RuntimeState.STOPPING,
+            RuntimeState.PAUSING,
+        ):
+            if self.path_time >= self._path.duration:
+                self.path_time = 0.0
+            self.runtime_state = RuntimeState.PLAYING
+        self._beat_time = self.timestamp
+        return True
+
+    def pause(self) -> None:
+        """Pauses the program, if it runs."""
+        if self.is_program_running():
+            self.runtime_state = RuntimeState.PAUSING
+            if self._config.slider_resets_on_pause:
+                self.slider = 1.0
+
+    def stop(self) -> None:
+        """Ends the program."""
+        if self.runtime_state != RuntimeState.STOPPED:
+            self.runtime_state = RuntimeState.STOPPING
+
+    def set_safety_mode(self, mode: int) -> None:
+        """Sets the safety mode; all but normal and reduced stop the robot."""
+        self.safety_mode = int(mode)
+        if mode not in _MAY_MOVE:
+            self.pause()
+
+    def restart_clock(self) -> None:
+        """Lets the controller's clock begin at 0, as a restart does."""
+        self.shift_clock(-self.timestamp)
+
+    def shift_clock(self, seconds: float) -> None:
+        """Lets the controller's clock jump."""
+        self.timestamp += seconds
+        self._beat_time += seconds
+
+    def is_program_running(self) -> bool:
+        """Returns whether the program plays or is about to."""
+        return self.runtime_state in (
+            RuntimeState.PLAYING,
+            RuntimeState.RESUMING,
+        )
+
+    def step(self) -> None:
+        """Goes on by one control cycle."""
+        period = 1.0 / self.rate
+        self.cycle += 1
+        self.timestamp += period
+        self._watch_heartbeat()
+        rate, path = self.speed_fraction, self._path
+        next_rate = self._calc_next_rate(period)
+        self.path_time += period * (rate + next_rate) / 2
+        if self.path_time >= path.duration:
+            if self._config.loop:
+                self.path_time = 0.0
+            else:
+                self.path_time = path.duration
+                next_rate = 0.0
+                self.runtime_state = RuntimeState.STOPPED
+        self.speed_fraction = next_rate
+        if next_rate == 0.0:
+            self.runtime_state = {
+                RuntimeState.PAUSING: RuntimeState.PAUSED,
+                RuntimeState.STOPPING: RuntimeState.STOPPED,
+            }.get(self.runtime_state, self.runtime_state)
+        if self.runtime_state == RuntimeState.RESUMING:
+            self.runtime_state = RuntimeState.PLAYING
+        self._set_output(
+            self._config.gripper_output,
+            path.calc_gripper_closed(self.path_time),
+        )
+        self._write_outputs((next_rate - rate) / period)
+
+    def _watch_heartbeat(self):
+        """The watchdog of the robot's program."""
+        beat = self.inputs[
+            f"input_int_register_{self._config.heartbeat_register}"
+        ]
+        if self._beat is None:
+            self._beat = beat
+        if beat != self._beat:
+            self._beat = beat
+            self._beat_time = self.timestamp
+            if (
+                self._config.start == "heartbeat"
+                and self.path_time == 0.0
+                and self.runtime_state == RuntimeState.STOPPED
+            ):
+                self.play()
+        timeout = self._config.watchdog_timeout
+        if (
+            timeout
+            and self.is_program_running()
+            and self.timestamp - self._beat_time > timeout
+        ):
+            if self._config.watchdog_action == "pause":
+                self.pause()
+            else:
+                self.stop()
+
+    def _calc_next_rate(self, period):
+        """Returns the speed fraction after a cycle."""
+        if self.is_program_running():
+            wanted, time = self.slider, self._config.ramp
+        elif self.safety_mode in _MAY_MOVE:
+            wanted, time = 0.0, self._config.pause_time
+        else:
+            wanted, time = 0.0, self._config.protective_stop_time
+        change = wanted - self.speed_fraction
+        if time > 0.0:
+            change = min(max(change, -period / time), period / time)
+        rate = self.speed_fraction + change
+        # What rounding leaves must not keep the robot from standing still.
+        return 0.0 if rate < 1e-9 else rate
+
+    def _set_output(self, bit, value):
+        bits = self.outputs["actual_digital_output_bits"] & ~(1 << bit)
+        self.outputs["actual_digital_output_bits"] = bits | int(value) << bit
+
+    def _write_outputs(self, rate_change):
+        q, dq, ddq = self._path.calc_motion(self.path_time)
+        rate = self.speed_fraction
+        qd = dq * rate
+        qdd = ddq * rate * rate + dq * rate_change
+        pose, velocity, elbow, elbow_velocity = calc_tool_motion(
+            self._kinematics, q, qd
+        )
+        running = self.is_program_running()
+        for name, value in (
+            ("q", q),
+            ("qd", qd),
+            ("TCP_pose", pose),
+            ("TCP_speed", velocity),
+        ):
+            value = tuple(value.tolist())
+            self.outputs[f"actual_{name}"] = value
+            self.outputs[f"target_{name}"] = value
+        self.outputs |= {
+            "timestamp": self.timestamp,
+            "target_qdd": tuple(qdd.tolist()),
+            "elbow_position": tuple(elbow.tolist()),
+            "elbow_velocity": tuple(elbow_velocity.tolist()),
+            "target_speed_fraction": self.slider,
+            "runtime_state": int(self.runtime_state),
+            "safety_mode": self.safety_mode,
+            "safety_status": self.safety_mode,
+            "safety_status_bits": self._calc_safety_bits(),
+            "robot_status_bits": int(
+                RobotStatusBit.POWER_ON
+                | (RobotStatusBit.PROGRAM_RUNNING if running else 0)
+            ),
+            f"output_int_register_{self._config.products_register}": (
+                self._path.calc_products_placed(self.path_time)
+            ),
+        }
+
+    def _calc_safety_bits(self):
+        bits = _SAFETY_BITS.get(self.safety_mode, SafetyStatusBit(0))
+        if self.safety_mode not in _MAY_MOVE:
+            bits |= SafetyStatusBit.STOPPED_DUE_TO_SAFETY
+        return int(bits)
+
+
+def calc_tool_motion(
+    kinematics: RingKinematics, q: np.ndarray, qd: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Returns what a UR controller tells of tool and elbow.
+
+    Args:
+        kinematics: Of the robot.
+        q: Joint angles, rad, (6,).
+        qd: Joint speeds, rad/s, (6,).
+
+    Returns:
+        Tool's pose in the base: x, y, z, rotation vector, m, rad, (6,).
+        Tool's velocity in the base: translational, rotational, m/s, rad/s,
+        (6,).
+        Elbow's position and velocity in the base, m, m/s, (3,) each.
+    """
+    R_WB = kinematics.X_WB[:, :3]
+    p_WB = kinematics.X_WB[:, 3]
+    X_WA = np.empty((7, 3, 4))
+    calc_link_poses(kinematics.X_WB, kinematics.X_PJ, q, X_WA)
+    X_WS, v_WS = kinematics.calc_sites(q, qd)
+    axes = X_WA[1:, :, 2]
+    angle_axis = RotationMatrix(R_WB.T @ X_WS[-1, :, :3]).ToAngleAxis()
+    pose = np.concatenate(
+        [
+            (X_WS[-1, :, 3] - p_WB) @ R_WB,
+            angle_axis.angle() * angle_axis.axis(),
+        ]
+    )
+    velocity = np.concatenate([v_WS[-1] @ R_WB, qd @ axes @ R_WB])
+    # The elbow joint's origin rides on the upper arm.
+    p_WE = X_WA[3, :, 3]
+    v_WE = qd[:2] @ np.cross(axes[:2], p_WE - X_WA[1:3, :, 3])
+    return pose, velocity, (p_WE - p_WB) @ R_WB, v_WE @ R_WB
+
+
+def _make_zero(kind):
+    if kind == "BOOL":
+        return False
+    if kind.startswith("VECTOR"):
+        return (0,) * (3 if kind.startswith("VECTOR3") else 6)
+    return 0

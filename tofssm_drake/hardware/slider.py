@@ -1,0 +1,314 @@
+"""When to write the robot's speed slider, and whether it obeys.
+
+The slider is a wish, not a fact: a write may be lost, a person may move the
+slider, a pause may reset it. So each report's echo, `target_speed_fraction`,
+is compared with what was written. One pure function, `step_slider`, does it
+all, once per report.
+"""
+
+import dataclasses as dc
+import enum
+import math
+
+from tofssm_drake.errors import require
+from tofssm_drake.hardware.rtde_fields import (
+    RobotMode,
+    RuntimeState,
+    SafetyMode,
+    name_of,
+)
+from tofssm_drake.messages import RobotReport, SliderCommand
+
+# After a gap between reports the fraction rises as if it was only that, s.
+_LONGEST_STEP = 0.05
+# A protective stop that soon after the slider left 0 came of that, s.
+_OFFENCE = 1.0
+
+
+@dc.dataclass(kw_only=True)
+class SliderConfig:
+    """How the speed slider is used."""
+
+    # The echo must follow a write within that many reports, one per control
+    # cycle; else it is written once more, and if that does not help either it
+    # is a fault.
+    confirm_cycles: int = 5
+
+    # Echo and wish may differ by that much (assumed: how a controller rounds
+    # is not published).
+    tolerance: float = 0.01
+
+    # The slider is never set lower, except in a fault. 0 stops the robot.
+    # Some robots were reported to answer the step from 0 upwards with a
+    # protective stop; for them a value such as 0.01 lets the robot creep
+    # instead of stopping, and what then really stops it must be another.
+    minimum_fraction: float = 0.0
+
+    # After a pause, a stop, a fault or a new connection the fraction may grow
+    # no faster than that, 1/s.
+    rise_rate: float = 2.0
+
+    # What happens if someone sets the slider lower than wanted: True leaves
+    # it there until someone raises it, False sets it back.
+    yield_to_operator: bool = True
+
+    def check(self, where: str) -> None:
+        """Raises UserError with one line if a setting is out of range."""
+        require(
+            1 <= self.confirm_cycles <= 125,
+            f"{where}.confirm_cycles: must be from 1 to 125, "
+            f"got {self.confirm_cycles}",
+        )
+        require(
+            0 < self.tolerance <= 0.05,
+            f"{where}.tolerance: must be more than 0 and at most 0.05, "
+            f"got {self.tolerance:g}",
+        )
+        require(
+            0 <= self.minimum_fraction <= 0.1,
+            f"{where}.minimum_fraction: must be from 0 to 0.1, "
+            f"got {self.minimum_fraction:g}",
+        )
+        require(
+            0 < self.rise_rate <= 100,
+            f"{where}.rise_rate: must be more than 0 and at most 100 1/s, "
+            f"got {self.rise_rate:g}",
+        )
+
+
+class SliderPhase(enum.IntEnum):
+    """What the slider is up to."""
+
+    WAITING = 0
+    """No report yet, or the slider was not yet seen at its lowest."""
+    FOLLOWING = 1
+    """The echo is what was written."""
+    RISING = 2
+    """So it is, but the fraction may grow only slowly for now."""
+    YIELDING = 3
+    """Someone has set it lower, and that holds."""
+    HOLDING = 4
+    """The robot does not run its program: the slider stays lowest."""
+    FAULT = 5
+    """The echo does not follow: 0 is written and the heartbeat stops."""
+
+
+@dc.dataclass(frozen=True, eq=False, kw_only=True)
+class SliderState:
+    """All that is remembered from one report to the next."""
+
+    phase: SliderPhase = SliderPhase.WAITING
+    reason: str = "no report from the robot yet"
+    """Why the slider is not simply following, in one line; else empty."""
+    command: SliderCommand = dc.field(default_factory=SliderCommand)
+    """What to send now, in answer to the report of its sequence."""
+    session: int = -1
+    """Of that report."""
+    timestamp: float = math.nan
+    """Of that report, s on the robot's clock."""
+    count: int = 0
+    """Of reports answered."""
+    echo: float = math.nan
+    """Of that report: where the slider was."""
+    fraction: float = math.nan
+    """Where it was last set or left; NaN: not yet in this session."""
+    replaced: tuple[tuple[float, int], ...] = ()
+    """(fraction, `count` when another took its place) of late."""
+    confirmed: bool = False
+    """The echo was `fraction` at least once since a start or a fault."""
+    obeyed: int = 0
+    """For how many reports in a row it is so by now."""
+    deadline: float = math.inf
+    """`count` by which setting it once more must have helped."""
+    operator_fraction: float = 1.0
+    """What a person at the slider allows."""
+    ceiling: float = 0.0
+    """What is allowed after a hold, growing; inf: no limit."""
+    left_zero: float = -math.inf
+    """When the slider was last set from 0 to more, s."""
+
+    def __deepcopy__(self, memo):
+        return self
+
+
+def find_hold(report: RobotReport) -> str:
+    """Returns why the robot does not run its program; "" if it does."""
+    if report.robot_mode != RobotMode.RUNNING:
+        return f"robot mode: {name_of(RobotMode, report.robot_mode)}"
+    for mode in (report.safety_mode, report.safety_status):
+        # Older software has no safety status: -1.
+        if mode not in (SafetyMode.NORMAL, SafetyMode.REDUCED, -1):
+            return f"safety mode: {name_of(SafetyMode, mode)}"
+    if report.safety_mode == -1:
+        return "safety mode: unknown"
+    if report.runtime_state != RuntimeState.PLAYING:
+        return f"program: {name_of(RuntimeState, report.runtime_state)}"
+    return ""
+
+
+def step_slider(
+    config: SliderConfig,
+    state: SliderState,
+    report: RobotReport,
+    wanted: float,
+) -> SliderState:
+    """Takes one report and says what to send in answer.
+
+    The mask of the command is 1 only where the slider must be set: when the
+    wanted fraction changed or the echo is astray. Otherwise a person could
+    not move it.
+
+    Args:
+        config: Settings.
+        state: After the report before.
+        report: The newest; if it is not new, nothing changes.
+        wanted: Speed fraction of the safety law; not a number counts as 0.
+
+    Returns:
+        The next state, with the command in it.
+    """
+    if report.sequence < 0 or report.sequence == state.command.sequence:
+        return state
+    if report.session != state.session:
+        # The new session knows nothing of what was written in the old one.
+        state = SliderState(
+            command=state.command,
+            count=state.count,
+            ceiling=config.minimum_fraction,
+        )
+    # Reports are counted, not time: a computer that was late has neither
+    # written nor looked in the meantime.
+    now, echo = state.count + 1, report.target_speed_fraction
+    wanted = min(wanted, 1.0) if wanted > 0.0 else 0.0
+    hold = find_hold(report)
+    was_fault = state.phase == SliderPhase.FAULT
+    fresh = math.isnan(state.fraction)
+
+    replaced = tuple(
+        p for p in state.replaced if now - p[1] <= config.confirm_cycles
+    )
+    # Comparisons with an echo that is not a number are all false.
+    obeys = abs(echo - state.fraction) <= config.tolerance
+    astray = not fresh and not _is_within(
+        echo, (state.fraction, *(f for f, _ in replaced)), config.tolerance
+    )
+    moved = astray and abs(echo - state.echo) > config.tolerance
+    obeyed = state.obeyed + 1 if obeys else 0
+    confirmed = state.confirmed or obeys
+    operator = state.operator_fraction
+    if moved and config.yield_to_operator and not was_fault:
+        operator = echo
+
+    ceiling = state.ceiling
+    if hold or not confirmed:
+        ceiling = config.minimum_fraction
+    elif ceiling < 1.0:
+        elapsed = report.timestamp - state.timestamp
+        ceiling += config.rise_rate * min(elapsed, _LONGEST_STEP)
+    if ceiling >= 1.0:
+        ceiling = math.inf
+    target = max(min(wanted, ceiling), config.minimum_fraction)
+    target = min(target, operator)
+
+    # Whoever left the slider where it may be needs no correction.
+    astray = astray and not (moved and target == echo)
+    deadline = state.deadline if astray else math.inf
+    if astray and deadline == math.inf:
+        deadline = now + config.confirm_cycles
+    if was_fault:
+        fault = obeyed < config.confirm_cycles
+    else:
+        fault = now > deadline or math.isnan(echo)
+    if fault:
+        target, ceiling, deadline = 0.0, config.minimum_fraction, math.inf
+        confirmed = was_fault and confirmed
+    if was_fault != fault:
+        obeyed = 0
+    set_it = fault or fresh or astray or target != state.fraction
+    if moved and target == echo:
+        set_it = fault
+    if target != state.fraction and not fresh:
+        replaced = (*replaced, (state.fraction, now))
+    return SliderState(
+        **_describe(
+            state,
+            report,
+            wanted=wanted,
+            target=target,
+            hold=hold,
+            fault=fault,
+            astray=astray,
+            confirmed=confirmed,
+            operator=operator,
+        ),
+        command=SliderCommand(
+            sequence=report.sequence,
+            mask=int(set_it),
+            speed_fraction=target,
+            heartbeat=(state.command.heartbeat + (not fault)) & 0x7FFFFFFF,
+        ),
+        session=report.session,
+        timestamp=report.timestamp,
+        count=now,
+        echo=echo,
+        fraction=target,
+        replaced=replaced,
+        confirmed=confirmed,
+        obeyed=obeyed,
+        deadline=deadline,
+        operator_fraction=operator,
+        ceiling=ceiling,
+        left_zero=report.timestamp
+        if target > 0.0 == state.fraction
+        else state.left_zero,
+    )
+
+
+def _is_within(value, values, tolerance):
+    """Returns whether a value lies between others; NaN does not."""
+    return min(values) - tolerance <= value <= max(values) + tolerance
+
+
+def _describe(
+    state,
+    report,
+    *,
+    wanted,
+    target,
+    hold,
+    fault,
+    astray,
+    confirmed,
+    operator,
+):
+    """Returns phase and reason."""
+    echo = report.target_speed_fraction
+    if fault:
+        reason = (
+            f"slider does not obey: at {echo:.2f}, not {state.fraction:.2f}"
+        )
+        if state.phase == SliderPhase.FAULT:
+            reason = state.reason
+        return {"phase": SliderPhase.FAULT, "reason": reason}
+    if hold:
+        if (
+            report.safety_mode == SafetyMode.PROTECTIVE_STOP
+            and report.timestamp - state.left_zero < _OFFENCE
+        ):
+            hold += ", right after the slider left 0: see minimum_fraction"
+        elif state.reason.startswith(hold):
+            hold = state.reason
+        return {"phase": SliderPhase.HOLDING, "reason": hold}
+    if not confirmed:
+        reason = f"slider at {echo:.2f}, not yet seen at {target:.2f}"
+        return {"phase": SliderPhase.WAITING, "reason": reason}
+    if astray:
+        reason = f"slider was moved to {echo:.2f}, is set to {target:.2f}"
+        return {"phase": SliderPhase.FOLLOWING, "reason": reason}
+    if operator < wanted and target == operator:
+        reason = f"someone has set the slider to {operator:.2f}"
+        return {"phase": SliderPhase.YIELDING, "reason": reason}
+    if target < wanted:
+        reason = f"slider rises from a stop, at {target:.2f}"
+        return {"phase": SliderPhase.RISING, "reason": reason}
+    return {"phase": SliderPhase.FOLLOWING, "reason": ""}
