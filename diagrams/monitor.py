@@ -2,6 +2,7 @@
 
 from pydrake.geometry import SceneGraph
 from pydrake.systems.framework import Diagram, DiagramBuilder
+from pydrake.systems.primitives import Multiplexer
 
 from tofssm_drake.diagrams.scenario import Scenario
 from tofssm_drake.geometry.ray_caster import RayCaster
@@ -19,12 +20,13 @@ from tofssm_drake.ssm.dsi_filter import DsiFilter
 from tofssm_drake.ssm.speed_fraction import SpeedFractionTrajectory
 from tofssm_drake.ssm.tri_ssm import TriSsmState
 
-_ROBOT_REPORT = (
-    "position_measured",
-    "velocity_measured",
-    "gripper_closed",
-    "products_placed",
-)
+# Ports and their sizes, in the order of OcclusionMask's `robot_report`.
+_ROBOT_REPORT = {
+    "position_measured": 6,
+    "velocity_measured": 6,
+    "gripper_closed": 1,
+    "products_placed": 1,
+}
 
 
 def make_monitor(scenario: Scenario) -> Diagram:
@@ -154,6 +156,12 @@ def _add_mask(builder, scenario, scene_graph, plant, kinematics):
             ),
         ),
     )
-    for port in (*(f"scan_{name}" for name in RINGS), *_ROBOT_REPORT):
-        builder.ExportInput(mask.GetInputPort(port), port)
+    for name in RINGS:
+        builder.ExportInput(mask.GetInputPort(f"scan_{name}"), f"scan_{name}")
+    report = builder.AddNamedSystem(
+        "robot_report", Multiplexer(list(_ROBOT_REPORT.values()))
+    )
+    for i, name in enumerate(_ROBOT_REPORT):
+        builder.ExportInput(report.get_input_port(i), name)
+    builder.Connect(report.get_output_port(), mask.GetInputPort("robot_report"))
     return mask, [make_ring_geometry(mount.X_LS) for mount in mounts]

@@ -171,7 +171,7 @@ class TestConnections(unittest.TestCase):
         self.assertEqual(
             kinds,
             {
-                *("OcclusionMask", "TofSeparation", "DsiFilter"),
+                *("Multiplexer", "OcclusionMask", "TofSeparation", "DsiFilter"),
                 *("TriSsmState", "SpeedFractionTrajectory"),
             },
         )

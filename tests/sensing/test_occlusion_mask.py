@@ -106,7 +106,9 @@ def make_history(
         q = np.zeros(6)
         q[0] = position
         mut.push_report(
-            table, time, q, scale * q, gripper_closed, products_placed
+            table,
+            time,
+            np.array([*q, *(scale * q), gripper_closed, products_placed]),
         )
     return table
 
@@ -173,7 +175,7 @@ class TestHistory(unittest.TestCase):
 
     def test_unused_rows_are_not_looked_at(self):
         table = mut.make_robot_history(5)
-        mut.push_report(table, 1.0, np.full(6, 0.3), np.zeros(6), 1.0, 4.0)
+        mut.push_report(table, 1.0, np.array([0.3] * 6 + [0.0] * 6 + [1, 4]))
         for time in (0.9, 1.0, 1.1):
             dut = mut.interpolate_reports(table, time)
             np.testing.assert_array_equal(dut[1:7], np.full(6, 0.3))
@@ -181,7 +183,7 @@ class TestHistory(unittest.TestCase):
 
     def test_gripper_and_products_are_those_before(self):
         table = make_history([1.0, 1.008], [0.0, 0.0], 0.0, 3.0)
-        mut.push_report(table, 1.016, np.zeros(6), np.zeros(6), 1.0, 4.0)
+        mut.push_report(table, 1.016, np.array([0.0] * 12 + [1.0, 4.0]))
         dut = mut.interpolate_reports(table, 1.0159)
         np.testing.assert_array_equal(dut[13:], [0.0, 3.0])
         dut = mut.interpolate_reports(table, 1.016)
@@ -189,7 +191,7 @@ class TestHistory(unittest.TestCase):
 
     def test_oldest_is_dropped(self):
         table = make_history([1.0, 1.008], [0.5, 0.6])
-        mut.push_report(table, 1.016, np.full(6, 0.7), np.zeros(6), 0.0, 0.0)
+        mut.push_report(table, 1.016, np.array([0.7] * 6 + [0.0] * 8))
         np.testing.assert_array_equal(table[:, 0], [1.008, 1.016])
         np.testing.assert_array_equal(table[:, 1], [0.6, 0.7])
 
@@ -652,16 +654,22 @@ class TestOcclusionMask(unittest.TestCase):
         self.context = self.simulator.get_mutable_context()
         for ring in RINGS:
             self.fix_scan(RingScan(), ring)
-        self.fix("position_measured", [0.5, 0, 0, 0, 0, 0])
-        self.fix("velocity_measured", np.arange(6.0))
-        self.fix("gripper_closed", [1.0])
-        self.fix("products_placed", [3.0])
+        self.report = np.array([0.5, *[0] * 5, *range(6), 1.0, 3.0])
+        self.fix_report()
 
-    def fix(self, name, value):
-        self.dut.GetInputPort(name).FixValue(self.context, value)
+    def fix_report(self, first_position=None, velocity=None):
+        if first_position is not None:
+            self.report[0] = first_position
+        if velocity is not None:
+            self.report[6:12] = velocity
+        self.dut.GetInputPort("robot_report").FixValue(
+            self.context, self.report
+        )
 
     def fix_scan(self, scan, ring="base"):
-        self.fix(f"scan_{ring}", Value(scan))
+        self.dut.GetInputPort(f"scan_{ring}").FixValue(
+            self.context, Value(scan)
+        )
 
     def eval(self, ring="base", context=None):
         return self.dut.GetOutputPort(f"masked_scan_{ring}").Eval(
@@ -678,10 +686,7 @@ class TestOcclusionMask(unittest.TestCase):
                 "scan_base",
                 "scan_elbow",
                 "scan_tool",
-                "position_measured",
-                "velocity_measured",
-                "gripper_closed",
-                "products_placed",
+                "robot_report",
             ],
         )
         self.assertEqual(
@@ -742,14 +747,12 @@ class TestOcclusionMask(unittest.TestCase):
         """The robot comes at 1.5 m/s and is at 0.5 m at 32 ms."""
         for tick in range(6):
             time = 0.008 * tick
-            self.fix(
-                "position_measured", [0.5 - 1.5 * (time - 0.032), *[0] * 5]
-            )
+            self.fix_report(0.5 - 1.5 * (time - 0.032))
             self.simulator.AdvanceTo(time + 0.001)
 
     def test_rings_of_different_sampling_times(self):
         """Each ring's robot is that of its own samples' time."""
-        self.fix("velocity_measured", [-1.5, 0, 0, 0, 0, 0])
+        self.fix_report(velocity=[-1.5, 0, 0, 0, 0, 0])
         self.approach()
         scans = {
             "base": make_scan(0.4, time=0.021),
@@ -775,7 +778,7 @@ class TestOcclusionMask(unittest.TestCase):
         # One by one they would be told the same.
         for ring in RINGS:
             self.setUp()
-            self.fix("velocity_measured", [-1.5, 0, 0, 0, 0, 0])
+            self.fix_report(velocity=[-1.5, 0, 0, 0, 0, 0])
             self.approach()
             self.fix_scan(scans[ring], ring)
             self.simulator.AdvanceTo(0.049)
@@ -789,7 +792,7 @@ class TestOcclusionMask(unittest.TestCase):
                     )
 
     def test_rings_of_one_sampling_time_share_their_looks(self):
-        self.fix("velocity_measured", [-1.5, 0, 0, 0, 0, 0])
+        self.fix_report(velocity=[-1.5, 0, 0, 0, 0, 0])
         self.approach()
         for ring in RINGS:
             self.fix_scan(make_scan(0.5, time=0.029), ring)
@@ -814,10 +817,7 @@ class TestOcclusionMask(unittest.TestCase):
             # As old as a sample may be, and a look back from there.
             time = period * last - config.max_age + 1e-6
             for tick in range(last + 1):
-                self.fix(
-                    "position_measured",
-                    [0.5 + 1.25 * (period * tick - time), *[0] * 5],
-                )
+                self.fix_report(0.5 + 1.25 * (period * tick - time))
                 if tick == last:
                     self.fix_scan(make_scan(0.4, time=time))
                 self.simulator.AdvanceTo(period * (tick + 0.5))
@@ -846,7 +846,7 @@ class TestOcclusionMask(unittest.TestCase):
 
     def test_history_reaches_back_as_far_as_a_sample_may_be_old(self):
         for tick in range(30):
-            self.fix("position_measured", [0.5 + 0.01 * tick, 0, 0, 0, 0, 0])
+            self.fix_report(0.5 + 0.01 * tick)
             if tick == 29:
                 # 70 ms ago, between the ticks 20 and 21.
                 self.fix_scan(make_scan(0.7, time=0.008 * 29 - 0.070))

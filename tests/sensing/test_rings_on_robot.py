@@ -192,10 +192,7 @@ class Robot(LeafSystem):
             "everything", 90, self.calc, {self.time_ticket()}
         )
         for name, part in (
-            ("position_measured", slice(0, 6)),
-            ("velocity_measured", slice(6, 12)),
-            ("gripper_closed", slice(12, 13)),
-            ("products_placed", slice(13, 14)),
+            ("robot_report", slice(0, 14)),
             ("positions", slice(14, 90)),
         ):
             self.DeclareVectorOutputPort(
@@ -285,13 +282,9 @@ def make_diagram(*, start, phases, mask_config, person=None, seed=0):
             twin=twin.poses,
         )
     )
-    for name in (
-        "position_measured",
-        "velocity_measured",
-        "gripper_closed",
-        "products_placed",
-    ):
-        builder.Connect(robot.GetOutputPort(name), mask.GetInputPort(name))
+    builder.Connect(
+        robot.GetOutputPort("robot_report"), mask.GetInputPort("robot_report")
+    )
     for phase in sorted(set(phases)):
         index = [i for i, p in enumerate(phases) if p == phase]
         names = tuple(RINGS[i] for i in index)

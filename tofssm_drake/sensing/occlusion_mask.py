@@ -161,6 +161,10 @@ _TIME, _POSITION, _VELOCITY = 0, slice(1, 7), slice(7, 13)
 _GRIPPER_CLOSED, _PRODUCTS_PLACED = 13, 14
 _COLUMNS = 15
 
+REPORT_SIZE = _COLUMNS - 1
+"""Of what a robot reports: position and velocity of the joints (6 each, rad,
+rad/s), gripper closed, products placed."""
+
 
 def make_robot_history(length: int) -> np.ndarray:
     """Returns an empty history of what the robot reported.
@@ -178,17 +182,17 @@ def make_robot_history(length: int) -> np.ndarray:
 
 
 @njit(cache=True)
-def push_report(
-    table, time, position, velocity, gripper_closed, products_placed
-):
-    """Adds a report to a history's table, (h, 15), and drops the oldest."""
+def push_report(table, time, report):
+    """Adds a report to a history's table, (h, 15), and drops the oldest.
+
+    Args:
+        table: changed in place.
+        time: of the report, s.
+        report: the other columns, (14,).
+    """
     table[:-1] = table[1:]
-    last = table[-1]
-    last[0] = time
-    last[1:7] = position
-    last[7:13] = velocity
-    last[13] = gripper_closed
-    last[14] = products_placed
+    table[-1, 0] = time
+    table[-1, 1:] = report
 
 
 @njit(cache=True)
@@ -502,7 +506,7 @@ def mask_scans(
 
     # The messages are views of these.
     for array in (samples, motion, reading):
-        array.flags.writeable = False
+        array.setflags(write=False)
     return tuple(
         was
         if scan is None
@@ -544,7 +548,7 @@ def _make_masked_scan(scan, is_held, samples, reading, motion, sensors):
         status = scan.status
         if is_held:
             status = samples[_STATUS, sensors].astype(np.uint8)
-            status.flags.writeable = False
+            status.setflags(write=False)
         scan = RingScan.of_read_only(
             sequence=scan.sequence,
             time=scan.time,
@@ -576,16 +580,14 @@ class OcclusionMask(LeafSystem):
         - scan_base
         - scan_elbow
         - scan_tool
-        - position_measured
-        - velocity_measured
-        - gripper_closed
-        - products_placed
+        - robot_report
         output_ports:
         - masked_scan_base
         - masked_scan_elbow
         - masked_scan_tool
 
-    Once a control tick it remembers what the robot reports; where a ring's
+    `robot_report` (vector, REPORT_SIZE) is what the robot tells of itself.
+    Once a control tick it is remembered; where a ring's
     scan is new, it tells what each reading means (`mask_scans`). Nothing of
     the simulated world is used: the rays are cast on a twin that is posed
     from the measured joints. All rings share one system, since they share
@@ -640,12 +642,7 @@ class OcclusionMask(LeafSystem):
             self.DeclareAbstractInputPort(f"scan_{ring}", Value(RingScan()))
             for ring in name
         ]
-        self._position = self.DeclareVectorInputPort("position_measured", 6)
-        self._velocity = self.DeclareVectorInputPort("velocity_measured", 6)
-        self._gripper_closed = self.DeclareVectorInputPort("gripper_closed", 1)
-        self._products_placed = self.DeclareVectorInputPort(
-            "products_placed", 1
-        )
+        self._report = self.DeclareVectorInputPort("robot_report", REPORT_SIZE)
         # A sample that is not stale lies within the history, and so does the
         # look back from it.
         length = math.ceil((config.max_age + config.time_margin) / period) + 2
@@ -662,20 +659,13 @@ class OcclusionMask(LeafSystem):
         self.DeclarePeriodicUnrestrictedUpdateEvent(period, 0.0, self._mask)
         self.DeclarePeriodicDiscreteUpdateEvent(period, 0.0, self._remember)
 
-    def _push_report(self, context: Context, table: np.ndarray) -> None:
-        """Adds what the robot reports now to a history's table."""
-        push_report(
-            table,
-            context.get_time(),
-            self._position.Eval(context),
-            self._velocity.Eval(context),
-            self._gripper_closed.Eval(context)[0],
-            self._products_placed.Eval(context)[0],
-        )
-
     def _remember(self, context: Context, discrete_state: DiscreteValues):
         history = discrete_state.get_mutable_value(self._history)
-        self._push_report(context, history.reshape(-1, _COLUMNS))
+        push_report(
+            history.reshape(-1, _COLUMNS),
+            context.get_time(),
+            self._report.Eval(context),
+        )
 
     def _mask(self, context: Context, state: State):
         values = [
@@ -692,7 +682,7 @@ class OcclusionMask(LeafSystem):
             return EventStatus.DidNothing()
         history = context.get_discrete_state(self._history).value()
         table = history.reshape(-1, _COLUMNS).copy()
-        self._push_report(context, table)
+        push_report(table, context.get_time(), self._report.Eval(context))
         masked_scans = mask_scans(
             self._config,
             scans=[

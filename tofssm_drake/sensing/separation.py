@@ -333,7 +333,7 @@ def make_separation(
     direction = columns[_DIRECTION:_REALS].T.copy()
     count = whole[_COUNT - _REALS :].T.copy()
     for array in (rows, columns, whole, direction, count):
-        array.flags.writeable = False
+        array.setflags(write=False)
     return _TofSeparation.of_read_only(
         name=name,
         sequence=whole[_SEQUENCE - _REALS],

@@ -293,7 +293,7 @@ class TofRings(LeafSystem):
         sensor_time = np.full(len(distance), time)
         # The messages are views of these.
         for array in (sensor_time, distance, status):
-            array.flags.writeable = False
+            array.setflags(write=False)
         return tuple(
             RingScan.of_read_only(
                 sequence=sequence,

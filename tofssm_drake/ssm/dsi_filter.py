@@ -169,7 +169,7 @@ def calc_safety_index(
     )
     health = index[8].astype(np.uint8)
     for array in (index, health):
-        array.flags.writeable = False
+        array.setflags(write=False)
     return _FilteredIndex.of_read_only(
         name=separation.name,
         sequence=separation.sequence,
