@@ -649,6 +649,8 @@ class OcclusionMask(LeafSystem):
         self._history = self.DeclareDiscreteState(
             make_robot_history(length).ravel()
         )
+        # Of the scans that are masked: cheaper to ask than the messages.
+        self._sequence = self.DeclareDiscreteState([-1.0] * len(name))
         self._masked_scans = [
             self.DeclareAbstractState(Value(MaskedScan())) for _ in name
         ]
@@ -668,18 +670,20 @@ class OcclusionMask(LeafSystem):
         )
 
     def _mask(self, context: Context, state: State):
+        scans = [port.Eval(context) for port in self._scans]
+        sequence = [scan.sequence for scan in scans]
+        last_sequence = state.get_discrete_state().get_value(self._sequence)
+        if sequence == last_sequence.tolist():
+            return EventStatus.DidNothing()
         values = [
             state.get_mutable_abstract_state(index)
             for index in self._masked_scans
         ]
         before = [value.get_value() for value in values]
-        scans = [port.Eval(context) for port in self._scans]
         is_new = [
             scan.sequence != was.scan.sequence
             for scan, was in zip(scans, before, strict=True)
         ]
-        if not any(is_new):
-            return EventStatus.DidNothing()
         history = context.get_discrete_state(self._history).value()
         table = history.reshape(-1, _COLUMNS).copy()
         push_report(table, context.get_time(), self._report.Eval(context))
@@ -701,4 +705,5 @@ class OcclusionMask(LeafSystem):
         ):
             if new:
                 value.set_value(masked_scan)
+        state.get_mutable_discrete_state().set_value(self._sequence, sequence)
         return EventStatus.Succeeded()

@@ -130,8 +130,8 @@ class _FilteredIndex(SafetyIndex):
     """An index that knows what it was made of."""
 
     separation: Separation
-    to_store: np.ndarray
-    """What the filter's state will hold of the links, (3, m)."""
+    to_store: bytes
+    """What the filter's state will hold of the links."""
 
 
 def calc_safety_index(
@@ -182,17 +182,8 @@ def calc_safety_index(
         dsi_R=index[7],
         health=health,
         separation=separation,
-        to_store=index[:3],
+        to_store=index[:3].tobytes(),
     )
-
-
-@njit(cache=True)
-def _is_stored(state, to_store):
-    for i in range(to_store.shape[0]):
-        for j in range(to_store.shape[1]):
-            if state[i * to_store.shape[1] + j] != to_store[i, j]:
-                return False
-    return True
 
 
 def is_stored(
@@ -211,7 +202,7 @@ def is_stored(
     return (
         isinstance(index, _FilteredIndex)
         and index.separation is separation
-        and _is_stored(state, index.to_store)
+        and state[:-1].tobytes() == index.to_store
     )
 
 
