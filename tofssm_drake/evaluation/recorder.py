@@ -8,7 +8,6 @@ from pydrake.systems.framework import (
     Diagram,
     DiagramBuilder,
     EventStatus,
-    LeafSystem,
     ValueProducer,
 )
 from pydrake.systems.primitives import Multiplexer, VectorLogSink
@@ -16,6 +15,7 @@ from pydrake.systems.primitives import Multiplexer, VectorLogSink
 from tofssm_drake.evaluation.ground_truth import TruthModel
 from tofssm_drake.evaluation.samples import RING_COLUMNS, Samples, narrow_type
 from tofssm_drake.human.motion import HumanMotion, capsule_ends
+from tofssm_drake.leaf_system import LeafSystem
 from tofssm_drake.messages import (
     RINGS,
     MaskedScan,

@@ -10,8 +10,9 @@ import dataclasses as dc
 
 from numba import njit
 import numpy as np
-from pydrake.systems.framework import BasicVector, Context, LeafSystem
+from pydrake.systems.framework import BasicVector, Context
 
+from tofssm_drake.leaf_system import LeafSystem
 from tofssm_drake.robot.kinematics import RingKinematics, calc_sites
 from tofssm_drake.robot.program import (
     ProgramConfig,

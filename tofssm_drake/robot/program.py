@@ -13,15 +13,11 @@ import functools
 
 from numba import njit
 import numpy as np
-from pydrake.systems.framework import (
-    BasicVector,
-    Context,
-    DiscreteValues,
-    LeafSystem,
-)
+from pydrake.systems.framework import BasicVector, Context, DiscreteValues
 import ruckig
 
 from tofssm_drake.errors import UserError, require, require_period
+from tofssm_drake.leaf_system import LeafSystem
 from tofssm_drake.robot.kinematics import (
     RingKinematics,
     calc_tool_down_joints,

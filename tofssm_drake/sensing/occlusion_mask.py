@@ -13,13 +13,13 @@ from pydrake.systems.framework import (
     Context,
     DiscreteValues,
     EventStatus,
-    LeafSystem,
     State,
 )
 
 from tofssm_drake.errors import require, require_period
 from tofssm_drake.geometry.fan import make_cone_fan
 from tofssm_drake.geometry.ray_caster import RayBundles, RayCaster
+from tofssm_drake.leaf_system import LeafSystem
 from tofssm_drake.messages import RINGS, MaskedScan, Reading, RingScan
 from tofssm_drake.sensing.readings import (
     calc_self_interval,

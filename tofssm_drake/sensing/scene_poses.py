@@ -6,10 +6,11 @@ from numba import njit
 import numpy as np
 from pydrake.common.value import Value
 from pydrake.geometry import FrameId
-from pydrake.systems.framework import Context, LeafSystem
+from pydrake.systems.framework import Context
 
 from tofssm_drake.geometry.ray_caster import RayCaster
 from tofssm_drake.human.skeleton import calc_capsule_poses
+from tofssm_drake.leaf_system import LeafSystem
 from tofssm_drake.robot.products import ProductLayout
 from tofssm_drake.robot.twin import TwinPoses
 

@@ -8,16 +8,12 @@ import numpy as np
 from pydrake.common import RandomDistribution
 from pydrake.common.value import Value
 from pydrake.geometry import QueryObject
-from pydrake.systems.framework import (
-    Context,
-    EventStatus,
-    LeafSystem,
-    State,
-)
+from pydrake.systems.framework import Context, EventStatus, State
 
 from tofssm_drake.errors import require
 from tofssm_drake.geometry.fan import make_cone_fan
 from tofssm_drake.geometry.ray_caster import RayBundles, RayCaster
+from tofssm_drake.leaf_system import LeafSystem
 from tofssm_drake.messages import RINGS, RingScan
 from tofssm_drake.sensing.ring_mount import RingMount
 from tofssm_drake.sensing.vl53l1x import (

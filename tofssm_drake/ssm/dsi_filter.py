@@ -5,9 +5,10 @@ import dataclasses as dc
 from numba import njit
 import numpy as np
 from pydrake.common.value import Value
-from pydrake.systems.framework import EventStatus, LeafSystem
+from pydrake.systems.framework import EventStatus
 
 from tofssm_drake.errors import require_period
+from tofssm_drake.leaf_system import LeafSystem
 from tofssm_drake.messages import (
     RINGS,
     RingHealth,

@@ -6,7 +6,7 @@ import functools
 import math
 import threading
 
-from pydrake.systems.framework import EventStatus, LeafSystem
+from pydrake.systems.framework import EventStatus
 from ruckig import (
     ControlInterface,
     InputParameter,
@@ -17,6 +17,7 @@ from ruckig import (
 )
 
 from tofssm_drake.errors import require_period
+from tofssm_drake.leaf_system import LeafSystem
 from tofssm_drake.messages import RobotState
 from tofssm_drake.ssm.config import SsmConfig
 

@@ -5,8 +5,8 @@ import dataclasses as dc
 from numba import njit
 import numpy as np
 from pydrake.common.value import Value
-from pydrake.systems.framework import LeafSystem
 
+from tofssm_drake.leaf_system import LeafSystem
 from tofssm_drake.messages import (
     RINGS,
     RingHealth,
