@@ -13,6 +13,7 @@ from tofssm_drake.diagrams.station import Station
 from tofssm_drake.evaluation.samples import make_ring_metadata
 from tofssm_drake.human.skeleton import CAPSULES
 from tofssm_drake.messages import RINGS
+from tofssm_drake.sensing.lidar_separation import LIDAR
 from tofssm_drake.sensing.ring_mount import find_ring_mount
 from tofssm_drake.sensing.vl53l1x import calc_cast_range
 
@@ -39,13 +40,19 @@ def make_run_metadata(
     return {
         "scenario": yaml.safe_dump(dump_scenario(scenario), sort_keys=False),
         "ssm": scenario.ssm.configuration,
+        "sensing": scenario.sensing,
         "seed": scenario.random_seed,
         "human": type(scenario.human).__name__,
         "products": scenario.program.products,
         "sensors_per_ring": scenario.sensors_per_ring,
         "robot_bodies": robot_bodies,
         "person_parts": [capsule.name for capsule in CAPSULES],
-        "ring_geometry": _describe_rings(scenario, station),
+        "ring_geometry": (
+            _describe_rings(scenario, station)
+            if scenario.sensing == "tof"
+            else {}
+        ),
+        "link_offset_m": _find_link_offsets(scenario, station),
         "plan": _describe_plan(station),
         "versions": get_versions(),
     }
@@ -70,6 +77,27 @@ def _describe_rings(scenario, station):
             max_range=calc_cast_range(scenario.rings.sensor),
         )
     return rings
+
+
+def _find_link_offsets(scenario, station):
+    """Returns how far from each link's centre the surface is, m.
+
+    For a lidar it is the workspace in whose middle it stands, unless its
+    distance rule has taken it off already.
+    """
+    if scenario.sensing == "lidar":
+        return {LIDAR[0]: scenario.lidar_separation.threshold_offset}
+    inspector = station.scene_graph.model_inspector()
+    return {
+        name: float(
+            np.linalg.norm(
+                find_ring_mount(station.plant, inspector, name)
+                .X_LS[0]
+                .translation()
+            )
+        )
+        for name in RINGS
+    }
 
 
 def _describe_plan(station):
