@@ -26,6 +26,7 @@ from tofssm_drake.sensing.occlusion_mask import OcclusionMaskConfig
 from tofssm_drake.sensing.separation import SeparationConfig
 from tofssm_drake.sensing.tof_rings import TofRingConfig
 from tofssm_drake.ssm.config import SsmConfig
+from tofssm_drake.ssm.standards import AuditConfig
 
 SENSINGS = ("tof", "ideal", "lidar")
 
@@ -107,6 +108,9 @@ class Scenario:
 
     # The safety law.
     ssm: SsmConfig = dc.field(default_factory=SsmConfig)
+
+    # What the run is audited with; it changes nothing of the run.
+    audit: AuditConfig = dc.field(default_factory=AuditConfig)
 
     def check(self, where: str = "") -> None:
         """Raises UserError unless every setting makes sense.

@@ -213,6 +213,7 @@ class TestEvents:
         assert row["time_to_stop_s"] == pytest.approx(0.2)
         assert row["time_to_reduce_s"] == pytest.approx(0.24)
         assert row["state_changes"] == 5
+        assert row["state_changes_per_min"] == pytest.approx(5 / 9.96 * 60)
         assert row["slow_episodes"] == 2
         assert row["state_changes_per_episode"] == 2.5
         assert row["stopped_s"] == pytest.approx(2.1, abs=0.009)

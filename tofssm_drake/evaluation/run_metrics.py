@@ -32,7 +32,8 @@ those of `tofssm_drake.evaluation.metrics`:
   best range (1.31 m) and any link reports a distance. `centre` takes the
   distance as measured (from the link's centre, or the base's axis),
   `surface` takes off the radius of what it was measured from.
-- *Chatter* shows in the changes of state per episode.
+- *Chatter* shows in the changes of state, per minute after start-up and per
+  episode.
 
 Rows are a control tick apart, which is how exactly all these times are known.
 """
@@ -42,6 +43,7 @@ import dataclasses as dc
 import numpy as np
 
 from tofssm_drake.evaluation.approach import STANDING, count_late_stops
+from tofssm_drake.evaluation.audit import calc_audit
 from tofssm_drake.evaluation.metrics import (
     MOVING_SPEED,
     calc_distance_rmse,
@@ -218,17 +220,21 @@ def calc_run_metrics(samples: Samples) -> dict[str, float]:
           `detection_share` (of the time with ||D_gt|| within the best range,
           that in which any link reports a distance);
         - `stopped_s`, `reduced_s`, `normal_s`, `slow_episodes`,
-          `state_changes`, `state_changes_per_episode`;
+          `state_changes`, `state_changes_per_min`,
+          `state_changes_per_episode`;
         - `contacts_while_moving`, `contact_speed_max_mps`,
           `min_true_distance_m`, `mean_true_distance_m`, `late_stops`,
-          `tcp_speed_max_mps`.
+          `tcp_speed_max_mps`;
+        - those of `Audit.make_row`, if the run can be audited.
     """
+    audit = calc_audit(samples)
     return (
         _calc_productivity(samples)
         | _calc_safety(samples)
         | _calc_events(samples)
         | _calc_reactions(samples)
         | _calc_distance_errors(samples)
+        | ({} if audit is None else audit.make_row())
     )
 
 
@@ -298,6 +304,7 @@ def _calc_events(samples):
         return float(periods[start:][state[start:] == value].sum())
 
     episodes = find_episodes(samples, events)
+    running = float(periods[start:].sum())
     changes = sum(episode.changes for episode in episodes)
     return {
         "stop_events": float(len(stops)),
@@ -318,6 +325,9 @@ def _calc_events(samples):
         "normal_s": duration(RobotState.NORMAL),
         "slow_episodes": float(len(episodes)),
         "state_changes": float(len(events)),
+        "state_changes_per_min": (
+            60.0 * len(events) / running if running else np.nan
+        ),
         "state_changes_per_episode": (
             changes / len(episodes) if episodes else np.nan
         ),
