@@ -250,7 +250,11 @@ class TestDistanceErrors:
         run.column["tool_measured_distance"] = make_steps(
             run["t"], (0, np.nan), (1.0, 0.8), (2.0, np.inf)
         )
+        run["base_true_distance"][:] = 0.66
         row = mut.calc_run_metrics(run)
+        assert row["distance_rmse_link_m"] == pytest.approx(
+            math.sqrt((0.02**2 + 0.14**2) / 2)
+        )
         assert row["distance_rmse_centre_m"] == pytest.approx(
             math.sqrt((0.08**2 + 0.1**2) / 2)
         )

@@ -31,7 +31,9 @@ those of `tofssm_drake.evaluation.metrics`:
   stood at that tick, against ||D_gt||, while ||D_gt|| is within the sensors'
   best range (1.31 m) and any link reports a distance. `centre` takes the
   distance as measured (from the link's centre, or the base's axis),
-  `surface` takes off the radius of what it was measured from.
+  `surface` takes off the radius of what it was measured from. `link` is
+  against another truth: the nearest of the links' own true distances, of which
+  the measured one is the measurement.
 - *Chatter* shows in the changes of state, per minute after start-up and per
   episode.
 
@@ -217,8 +219,8 @@ def calc_run_metrics(samples: Samples) -> dict[str, float]:
         - `approaches`, `reaction_events`, `reaction_time_s` (mean),
           `missed_events`, `false_events`;
         - `distance_rmse_centre_m`, `distance_rmse_surface_m`,
-          `detection_share` (of the time with ||D_gt|| within the best range,
-          that in which any link reports a distance);
+          `distance_rmse_link_m`; `detection_share`, of the time with ||D_gt||
+          within the best range that in which any link reports a distance;
         - `stopped_s`, `reduced_s`, `normal_s`, `slow_episodes`,
           `state_changes`, `state_changes_per_min`,
           `state_changes_per_episode`;
@@ -357,11 +359,17 @@ def _calc_distance_errors(samples):
     centre, surface = calc_nearest_distances(samples)
     near = periods[in_range].sum()
     seen = periods[in_range & np.isfinite(centre)].sum()
-    rmse = [calc_distance_rmse(d, true) for d in (centre, surface)]
-    centre_error, surface_error = [np.nan if e is None else e for e in rmse]
+    of_link = samples.ring("true_distance").min(axis=1)
+    of_link = np.where(in_range, of_link, np.inf)
+
+    def error(measured, truth):
+        rmse = calc_distance_rmse(measured, truth)
+        return np.nan if rmse is None else rmse
+
     return {
-        "distance_rmse_centre_m": centre_error,
-        "distance_rmse_surface_m": surface_error,
+        "distance_rmse_centre_m": error(centre, true),
+        "distance_rmse_surface_m": error(surface, true),
+        "distance_rmse_link_m": error(centre, of_link),
         "detection_share": float(seen / near) if near else np.nan,
     }
 
