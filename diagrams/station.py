@@ -32,7 +32,6 @@ from tofssm_drake.sensing.scene_poses import ScenePoses
 from tofssm_drake.sensing.tof_rings import TofRings, make_ring_bundles
 from tofssm_drake.sensing.vl53l1x import SensorErrors, draw_sensor_errors
 
-
 # Noise is drawn for so many scans at a time.
 _NOISE_SCANS = 16
 
