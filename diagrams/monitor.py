@@ -73,6 +73,9 @@ def make_monitor(
 
     Returns:
         The Diagram.
+
+    Raises:
+        UserError: If the lidar has no free view.
     """
     builder = DiagramBuilder()
     # The twin's SceneGraph only tells the shapes once: it is not in the

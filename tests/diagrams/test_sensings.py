@@ -94,6 +94,11 @@ class TestPorts:
         with pytest.raises(ValueError, match="person_radii"):
             make_monitor(load_scenario(text="sensing: ideal"))
 
+    def test_lidar_inside_of_the_robot(self):
+        scenario = load_scenario(text="{sensing: lidar, lidar: {height: 0.9}}")
+        with pytest.raises(UserError, match=r"lidar.height: .* inside"):
+            make_monitor(scenario)
+
 
 class TestLaw:
     def test_lidar_s_distances_grow_by_the_workspace(self):

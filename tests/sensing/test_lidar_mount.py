@@ -7,6 +7,7 @@ from pydrake.geometry import SceneGraph
 from pydrake.math import RigidTransform
 import pytest
 
+from tofssm_drake.evaluation.ground_truth import TruthModel
 from tofssm_drake.geometry.ray_caster import RayCaster
 from tofssm_drake.robot.kinematics import RingKinematics
 from tofssm_drake.robot.products import ProductLayout
@@ -20,7 +21,7 @@ class Cell:
     def __init__(self):
         self.config = Lidar2dConfig()
         self.scene_graph = SceneGraph()
-        plant = make_twin_plant(scene_graph=self.scene_graph)
+        plant = self.plant = make_twin_plant(scene_graph=self.scene_graph)
         self.kinematics = RingKinematics.from_plant(plant)
         inspector = self.scene_graph.model_inspector()
         self.caster = RayCaster(inspector)
@@ -83,6 +84,29 @@ def test_the_robot_never_enters_the_plane(cell):
         closed = float(cell.path.calc_gripper_closed(s))
         placed = cell.path.calc_products_placed(s)
         np.testing.assert_array_equal(cell.scan(s, closed, placed), background)
+
+
+@pytest.mark.parametrize(("offset", "expected"), [(0.0, 0.5), (0.82, 0.0)])
+def test_truth_is_from_the_lidar(cell, offset, expected):
+    """To a ball of 0.1 m, 1.0 m away, and to one 0.6 m away."""
+    dut = TruthModel(
+        plant=cell.plant,
+        inspector=cell.scene_graph.model_inspector(),
+        radii=[0.1, 0.1],
+        kinematics=mut.make_lidar_kinematics(cell.config, cell.kinematics),
+        link_offset=offset,
+    )
+    assert dut.layout.num_rings == 1
+    far = [*(0.0, 1.0, 0.3) * 2, *(0.0, 0.0, 9.0) * 2]
+    near = [*(0.0, 0.0, -9.0) * 2, *(0.0, -0.6, 0.3) * 2]
+    truth = dut.calc(
+        q=np.zeros((2, 6)), qd=np.zeros((2, 6)), skeleton=np.array([far, near])
+    )
+    np.testing.assert_allclose(
+        truth[:, dut.layout.ring_distance][:, 0],
+        [0.9 - offset, expected],
+        atol=1e-12,
+    )
 
 
 def test_truth_s_link_stands_where_the_lidar_is(cell):

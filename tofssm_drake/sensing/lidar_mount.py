@@ -8,6 +8,7 @@ from pydrake.geometry import GeometryId, Role, SceneGraphInspector
 from pydrake.math import RigidTransform
 from pydrake.multibody.plant import MultibodyPlant
 
+from tofssm_drake.errors import require
 from tofssm_drake.geometry.ray_caster import RayBundles, RayCaster
 from tofssm_drake.robot.kinematics import RingKinematics
 from tofssm_drake.robot.twin import TwinPoses
@@ -83,8 +84,16 @@ def scan_background(
         bundle: the lidar's rays.
         twin: poses the caster's frames.
         q: joints at which the robot stands meanwhile, rad, (6,).
+
+    Raises:
+        UserError: if the lidar is inside of something.
     """
     distance, _ = caster.cast_bundles(bundle, twin.calc(q, 0.0, 0.0))
+    require(
+        bool((distance[0] > 0.0).all()),
+        "lidar.height: the lidar is inside of the robot or of something in "
+        "its cell; use a height at which it has a free view, such as 0.3",
+    )
     return distance[0]
 
 
