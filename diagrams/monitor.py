@@ -1,15 +1,23 @@
 """The monitor: from scans and the robot's own report to a speed fraction."""
 
+import numpy as np
 from pydrake.geometry import SceneGraph
 from pydrake.systems.framework import Diagram, DiagramBuilder
 from pydrake.systems.primitives import Multiplexer
 
-from tofssm_drake.diagrams.scenario import Scenario
+from tofssm_drake.diagrams.scenario import Scenario, get_links, make_law
 from tofssm_drake.geometry.ray_caster import RayCaster
 from tofssm_drake.messages import RINGS
 from tofssm_drake.robot.kinematics import RingKinematics
 from tofssm_drake.robot.products import ProductLayout
+from tofssm_drake.robot.program import make_program_path
 from tofssm_drake.robot.twin import TwinPoses, make_twin_plant
+from tofssm_drake.sensing.ideal_separation import IdealSeparation
+from tofssm_drake.sensing.lidar_mount import (
+    make_base_lidar_bundle,
+    scan_background,
+)
+from tofssm_drake.sensing.lidar_separation import LidarSeparation
 from tofssm_drake.sensing.occlusion_mask import (
     OcclusionMask,
     make_mask_bundles,
@@ -20,6 +28,7 @@ from tofssm_drake.ssm.dsi_filter import DsiFilter
 from tofssm_drake.ssm.speed_fraction import SpeedFractionTrajectory
 from tofssm_drake.ssm.tri_ssm import TriSsmState
 
+<<<<<<< HEAD
 # Ports and their sizes, in the order of OcclusionMask's `robot_report`.
 _ROBOT_REPORT = {
     "position_measured": 6,
@@ -27,9 +36,15 @@ _ROBOT_REPORT = {
     "gripper_closed": 1,
     "products_placed": 1,
 }
+=======
+_JOINTS = ("position_measured", "velocity_measured")
+_ROBOT_REPORT = (*_JOINTS, "gripper_closed", "products_placed")
+>>>>>>> ev1
 
 
-def make_monitor(scenario: Scenario) -> Diagram:
+def make_monitor(
+    scenario: Scenario, *, person_radii: np.ndarray | None = None
+) -> Diagram:
     """Makes the monitor, the same for a simulated and for a real cell.
 
     .. pydrake_system::
@@ -58,11 +73,20 @@ def make_monitor(scenario: Scenario) -> Diagram:
     a digital output (gripper) and a register (products placed). Of the cell
     it has a model of its own, the twin.
 
+    With another sensing than the rings it has other ports in the place of
+    `scan_...`, does without gripper and products, and has no `masked_scan_...`:
+    with `lidar` it is `scan_lidar`, with `ideal` the true person, `skeleton`.
+
     Args:
         scenario: Checked settings.
+        person_radii: Radii of the pieces of the person of `skeleton`, m, (c,);
+            only the sensing `ideal` takes them.
 
     Returns:
         The Diagram.
+
+    Raises:
+        UserError: If the lidar has no free view.
     """
     builder = DiagramBuilder()
     # The twin's SceneGraph only tells the shapes once: it is not in the
@@ -75,33 +99,29 @@ def make_monitor(scenario: Scenario) -> Diagram:
         meshes=scenario.robot_meshes,
     )
     kinematics = RingKinematics.from_plant(plant)
-    mask, geometries = _add_mask(
-        builder, scenario, scene_graph, plant, kinematics
-    )
-    separation = builder.AddNamedSystem(
-        "separation",
-        TofSeparation(
-            config=scenario.separation,
-            k_max=scenario.ssm.k_omax,
-            kinematics=kinematics,
-            geometries=geometries,
-        ),
-    )
-    for name in RINGS:
-        builder.Connect(
-            mask.GetOutputPort(f"masked_scan_{name}"),
-            separation.GetInputPort(f"masked_scan_{name}"),
+    law = make_law(scenario)
+    masked_scans = []
+    if scenario.sensing == "ideal":
+        separation = _add_ideal(builder, scenario, kinematics, person_radii)
+    elif scenario.sensing == "lidar":
+        separation = _add_lidar(
+            builder, scenario, scene_graph, plant, kinematics
         )
+    else:
+        separation, masked_scans = _add_rings(
+            builder, scenario, scene_graph, plant, kinematics
+        )
+    links = get_links(scenario)
     dsi_filter = builder.AddNamedSystem(
         "dsi_filter",
-        DsiFilter(config=scenario.ssm, period=scenario.control_period),
+        DsiFilter(config=law, period=scenario.control_period, name=links),
     )
-    state = builder.AddNamedSystem("tri_ssm", TriSsmState(config=scenario.ssm))
+    state = builder.AddNamedSystem(
+        "tri_ssm", TriSsmState(config=law, name=links)
+    )
     trajectory = builder.AddNamedSystem(
         "speed_fraction",
-        SpeedFractionTrajectory(
-            config=scenario.ssm, period=scenario.control_period
-        ),
+        SpeedFractionTrajectory(config=law, period=scenario.control_period),
     )
     builder.Connect(
         separation.GetOutputPort("separation"),
@@ -122,12 +142,95 @@ def make_monitor(scenario: Scenario) -> Diagram:
     ):
         for name in names:
             builder.ExportOutput(system.GetOutputPort(name), name)
-    for name in RINGS:
-        port = f"masked_scan_{name}"
-        builder.ExportOutput(mask.GetOutputPort(port), port)
+    for port in masked_scans:
+        builder.ExportOutput(port, port.get_name())
     diagram = builder.Build()
     diagram.set_name("monitor")
     return diagram
+
+
+def _add_ideal(builder, scenario, kinematics, person_radii):
+    """Adds the ideal separation with its inputs."""
+    if person_radii is None:
+        raise ValueError("person_radii: ideal sensing needs the person's")
+    separation = builder.AddNamedSystem(
+        "separation",
+        IdealSeparation(
+            config=scenario.ideal,
+            k_max=scenario.ssm.k_omax,
+            kinematics=kinematics,
+            radii=person_radii,
+        ),
+    )
+    for name in (*_JOINTS, "skeleton"):
+        builder.ExportInput(separation.GetInputPort(name), name)
+    return separation
+
+
+def _add_lidar(builder, scenario, scene_graph, plant, kinematics):
+    """Adds the lidar's separation with its inputs.
+
+    Its background is a scan of the twin, in which there are no people.
+    """
+    inspector = scene_graph.model_inspector()
+    caster = RayCaster(inspector)
+    bundle = make_base_lidar_bundle(
+        config=scenario.lidar,
+        caster=caster,
+        plant=plant,
+        inspector=inspector,
+        kinematics=kinematics,
+    )
+    twin = TwinPoses.from_plant(
+        plant,
+        layout=ProductLayout.from_config(scenario.program),
+        frame_ids=caster.frame_ids,
+        kinematics=kinematics,
+    )
+    path = make_program_path(scenario.program, kinematics)
+    separation = builder.AddNamedSystem(
+        "separation",
+        LidarSeparation(
+            config=scenario.lidar_separation,
+            k_max=scenario.ssm.k_omax,
+            kinematics=kinematics,
+            background=scan_background(
+                caster=caster,
+                bundle=bundle,
+                twin=twin,
+                q=path.calc_motion(0.0)[0],
+            ),
+            period=scenario.control_period,
+        ),
+    )
+    builder.ExportInput(separation.GetInputPort("scan"), "scan_lidar")
+    for name in _JOINTS:
+        builder.ExportInput(separation.GetInputPort(name), name)
+    return separation
+
+
+def _add_rings(builder, scenario, scene_graph, plant, kinematics):
+    """Adds mask and separation of the rings with their inputs.
+
+    Returns:
+        The separation and the ports of the masked scans.
+    """
+    mask, geometries = _add_mask(
+        builder, scenario, scene_graph, plant, kinematics
+    )
+    separation = builder.AddNamedSystem(
+        "separation",
+        TofSeparation(
+            config=scenario.separation,
+            k_max=scenario.ssm.k_omax,
+            kinematics=kinematics,
+            geometries=geometries,
+        ),
+    )
+    ports = [mask.GetOutputPort(f"masked_scan_{name}") for name in RINGS]
+    for port in ports:
+        builder.Connect(port, separation.GetInputPort(port.get_name()))
+    return separation, ports
 
 
 def _add_mask(builder, scenario, scene_graph, plant, kinematics):

@@ -8,13 +8,20 @@ import numpy as np
 from pydrake.geometry import Box, Role
 import yaml
 
-from tofssm_drake.diagrams.scenario import Scenario, dump_scenario
+from tofssm_drake.diagrams.scenario import (
+    Scenario,
+    dump_scenario,
+    make_law,
+)
 from tofssm_drake.diagrams.station import Station
+from tofssm_drake.evaluation.audit import make_audit_metadata
 from tofssm_drake.evaluation.samples import make_ring_metadata
 from tofssm_drake.human.skeleton import CAPSULES
 from tofssm_drake.messages import RINGS
+from tofssm_drake.sensing.lidar_separation import LIDAR
 from tofssm_drake.sensing.ring_mount import find_ring_mount
 from tofssm_drake.sensing.vl53l1x import calc_cast_range
+from tofssm_drake.ssm.standards import make_latency_budget
 
 _PACKAGES = ("tofssm-drake", "drake", "numba", "numpy", "ruckig")
 
@@ -39,13 +46,24 @@ def make_run_metadata(
     return {
         "scenario": yaml.safe_dump(dump_scenario(scenario), sort_keys=False),
         "ssm": scenario.ssm.configuration,
+        "sensing": scenario.sensing,
         "seed": scenario.random_seed,
         "human": type(scenario.human).__name__,
         "products": scenario.program.products,
         "sensors_per_ring": scenario.sensors_per_ring,
         "robot_bodies": robot_bodies,
         "person_parts": [capsule.name for capsule in CAPSULES],
-        "ring_geometry": _describe_rings(scenario, station),
+        "ring_geometry": (
+            _describe_rings(scenario, station)
+            if scenario.sensing == "tof"
+            else {}
+        ),
+        "audit": make_audit_metadata(
+            config=scenario.audit,
+            ssm=make_law(scenario),
+            latency=_calc_latency(scenario),
+        ),
+        "link_offset_m": _find_link_offsets(scenario, station),
         "plan": _describe_plan(station),
         "versions": get_versions(),
     }
@@ -70,6 +88,57 @@ def _describe_rings(scenario, station):
             max_range=calc_cast_range(scenario.rings.sensor),
         )
     return rings
+
+
+def _calc_latency(scenario):
+    """Returns the worst latency's parts with the scenario's sensing, s."""
+    if scenario.sensing == "ideal":
+        integration, wait, delivery = (
+            0.0,
+            scenario.ideal.period,
+            scenario.ideal.latency,
+        )
+    elif scenario.sensing == "lidar":
+        # The mirror sweeps for a period; the scan's time is its middle.
+        integration, wait, delivery = (
+            0.5 * scenario.lidar.period,
+            scenario.lidar.period,
+            scenario.lidar.latency,
+        )
+    else:
+        integration, wait, delivery = (
+            scenario.rings.sensor.timing_budget,
+            scenario.rings.period,
+            scenario.rings.readout_time,
+        )
+    return make_latency_budget(
+        config=scenario.audit,
+        integration=integration,
+        wait=wait,
+        delivery=delivery,
+        control_period=scenario.control_period,
+    )
+
+
+def _find_link_offsets(scenario, station):
+    """Returns how far from each link's centre the surface is, m.
+
+    For a lidar it is the workspace in whose middle it stands, unless its
+    distance rule has taken it off already.
+    """
+    if scenario.sensing == "lidar":
+        return {LIDAR[0]: scenario.lidar_separation.threshold_offset}
+    inspector = station.scene_graph.model_inspector()
+    return {
+        name: float(
+            np.linalg.norm(
+                find_ring_mount(station.plant, inspector, name)
+                .X_LS[0]
+                .translation()
+            )
+        )
+        for name in RINGS
+    }
 
 
 def _describe_plan(station):

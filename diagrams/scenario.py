@@ -16,12 +16,19 @@ from tofssm_drake.diagrams.yaml_check import (
 from tofssm_drake.errors import UserError, require
 from tofssm_drake.human.bvh import BvhRecording
 from tofssm_drake.human.walk import GeneratedWalk
+from tofssm_drake.messages import RINGS
 from tofssm_drake.robot.program import ProgramConfig
 from tofssm_drake.robot.sim_ur10 import SimUr10Config
+from tofssm_drake.sensing.ideal_separation import IdealSeparationConfig
+from tofssm_drake.sensing.lidar_2d import Lidar2dConfig
+from tofssm_drake.sensing.lidar_separation import LIDAR, LidarSeparationConfig
 from tofssm_drake.sensing.occlusion_mask import OcclusionMaskConfig
 from tofssm_drake.sensing.separation import SeparationConfig
 from tofssm_drake.sensing.tof_rings import TofRingConfig
 from tofssm_drake.ssm.config import SsmConfig
+from tofssm_drake.ssm.standards import AuditConfig
+
+SENSINGS = ("tof", "ideal", "lidar")
 
 
 @dc.dataclass(kw_only=True)
@@ -65,6 +72,12 @@ class Scenario:
         default_factory=GeneratedWalk
     )
 
+    # What the monitor watches the person with: "tof", the rings on the arm;
+    # "ideal", the person's true surface, as motion capture would know it;
+    # "lidar", a planar lidar at the robot's base. The settings of the others
+    # have no effect.
+    sensing: str = "tof"
+
     # The Time-of-Flight sensors and how a ring samples.
     rings: TofRingConfig = dc.field(default_factory=TofRingConfig)
 
@@ -79,8 +92,25 @@ class Scenario:
     # From readings to distance and directed speeds.
     separation: SeparationConfig = dc.field(default_factory=SeparationConfig)
 
+    # From the true person to distance and directed speeds.
+    ideal: IdealSeparationConfig = dc.field(
+        default_factory=IdealSeparationConfig
+    )
+
+    # The lidar. Its height counts from the floor and must be below what the
+    # robot reaches.
+    lidar: Lidar2dConfig = dc.field(default_factory=Lidar2dConfig)
+
+    # From the lidar's scans to distance and directed speeds.
+    lidar_separation: LidarSeparationConfig = dc.field(
+        default_factory=LidarSeparationConfig
+    )
+
     # The safety law.
     ssm: SsmConfig = dc.field(default_factory=SsmConfig)
+
+    # What the run is audited with; it changes nothing of the run.
+    audit: AuditConfig = dc.field(default_factory=AuditConfig)
 
     def check(self, where: str = "") -> None:
         """Raises UserError unless every setting makes sense.
@@ -111,6 +141,11 @@ class Scenario:
             f"{at}ring_phases: {self.ring_phases} must be three times of 0 s "
             "or more, of the rings base, elbow and tool",
         )
+        require(
+            self.sensing in SENSINGS,
+            f"{at}sensing: {self.sensing!r} is unknown, use one of "
+            f"{', '.join(SENSINGS)}",
+        )
         for field in dc.fields(self):
             value = getattr(self, field.name)
             if dc.is_dataclass(value):
@@ -126,6 +161,35 @@ class Scenario:
             f"{at}robot.time_step: control_period ({tick}) must be a multiple "
             f"of it, got {self.robot.time_step}",
         )
+
+
+def get_links(scenario: Scenario) -> tuple[str, ...]:
+    """Returns the names of the links that the sensing watches."""
+    return LIDAR if scenario.sensing == "lidar" else RINGS
+
+
+def make_law(scenario: Scenario) -> SsmConfig:
+    """Returns the law's settings for the sensing.
+
+    A lidar's distances are measured from the base's axis. If they are taken
+    as they are, the law's constant distances grow by the radius of the
+    robot's workspace (paper, Table: C_dC = r_o + 0.3 m).
+    """
+    ssm = scenario.ssm
+    if scenario.sensing != "lidar":
+        return ssm
+    offset = scenario.lidar_separation.threshold_offset
+
+    def grow(distance):
+        # What is written in decimals stays it: 0.3 + 0.82 is 1.12.
+        return round(distance + offset, 12)
+
+    return dc.replace(
+        ssm,
+        C_dC=grow(ssm.C_dC),
+        d_C_sm=grow(ssm.d_C_sm),
+        d_R_sm=grow(ssm.d_R_sm),
+    )
 
 
 def find_default_scenarios() -> pathlib.Path:

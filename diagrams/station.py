@@ -25,6 +25,8 @@ from tofssm_drake.robot.products import ProductCarrier, ProductLayout
 from tofssm_drake.robot.program import PickAndPlaceProgram
 from tofssm_drake.robot.sim_ur10 import make_sim_ur10
 from tofssm_drake.robot.twin import make_cell_plant
+from tofssm_drake.sensing.lidar_2d import Lidar2d
+from tofssm_drake.sensing.lidar_mount import make_base_lidar_bundle
 from tofssm_drake.sensing.ring_mount import find_ring_mount
 from tofssm_drake.sensing.scene_poses import ScenePoses
 from tofssm_drake.sensing.tof_rings import TofRings, make_ring_bundles
@@ -73,6 +75,9 @@ def make_station(scenario: Scenario) -> Station:
     (`position_measured` to `products_placed`). The last two ports are the
     world's truth, for evaluation and display only.
 
+    With the sensing `lidar` there is `scan_lidar` in the place of the rings'
+    scans, with `ideal` there are no scans at all.
+
     Args:
         scenario: Checked settings.
 
@@ -119,27 +124,35 @@ def make_station(scenario: Scenario) -> Station:
     else:
         skeleton = avatar.GetOutputPort("skeleton")
     caster = RayCaster(scene_graph.model_inspector())
-    rings = _add_rings(builder, scenario, scene_graph, plant, caster)
-    poses = builder.AddNamedSystem(
-        "scene_poses",
-        ScenePoses(
-            caster=caster,
-            plant=plant,
-            layout=layout,
-            human_frame_ids=[] if avatar is None else avatar.frame_ids,
-        ),
-    )
-    for port, name in (
-        (robot.GetOutputPort("position_measured"), "position_measured"),
-        (program.GetOutputPort("gripper_closed"), "gripper_closed"),
-        (program.GetOutputPort("products_placed"), "products_placed"),
-        (skeleton, "skeleton"),
-    ):
-        builder.Connect(port, poses.GetInputPort(name))
-    for ring in rings:
-        builder.Connect(
-            poses.get_output_port(), ring.GetInputPort("frame_poses")
+    if scenario.sensing == "tof":
+        sensors = _add_rings(builder, scenario, scene_graph, plant, caster)
+    elif scenario.sensing == "lidar":
+        sensors = _add_lidar(
+            builder, scenario, scene_graph, plant, caster, kinematics
         )
+    else:
+        sensors = []
+    if sensors:
+        poses = builder.AddNamedSystem(
+            "scene_poses",
+            ScenePoses(
+                caster=caster,
+                plant=plant,
+                layout=layout,
+                human_frame_ids=[] if avatar is None else avatar.frame_ids,
+            ),
+        )
+        for port, name in (
+            (robot.GetOutputPort("position_measured"), "position_measured"),
+            (program.GetOutputPort("gripper_closed"), "gripper_closed"),
+            (program.GetOutputPort("products_placed"), "products_placed"),
+            (skeleton, "skeleton"),
+        ):
+            builder.Connect(port, poses.GetInputPort(name))
+        for sensor in sensors:
+            builder.Connect(
+                poses.get_output_port(), sensor.GetInputPort("frame_poses")
+            )
 
     builder.ExportInput(
         program.GetInputPort("speed_fraction"), "speed_fraction"
@@ -267,3 +280,32 @@ def _add_rings(builder, scenario, scene_graph, plant, caster):
             )
         systems.append(rings)
     return systems
+
+
+def _add_lidar(builder, scenario, scene_graph, plant, caster, kinematics):
+    """Adds the lidar with its noise, exports its scan, returns it."""
+    lidar = builder.AddNamedSystem(
+        "lidar",
+        Lidar2d(
+            config=scenario.lidar,
+            caster=caster,
+            bundle=make_base_lidar_bundle(
+                config=scenario.lidar,
+                caster=caster,
+                plant=plant,
+                inspector=scene_graph.model_inspector(),
+                kinematics=kinematics,
+            ),
+        ),
+    )
+    noise = builder.AddNamedSystem(
+        "noise_lidar",
+        RandomSource(
+            distribution=RandomDistribution.kGaussian,
+            num_outputs=lidar.GetInputPort("noise").size(),
+            sampling_interval_sec=scenario.lidar.period,
+        ),
+    )
+    builder.Connect(noise.get_output_port(), lidar.GetInputPort("noise"))
+    builder.ExportOutput(lidar.GetOutputPort("scan"), "scan_lidar")
+    return [lidar]

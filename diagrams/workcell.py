@@ -14,11 +14,13 @@ from pydrake.systems.framework import Context, Diagram, DiagramBuilder
 
 from tofssm_drake.diagrams.monitor import make_monitor
 from tofssm_drake.diagrams.run_metadata import make_run_metadata
-from tofssm_drake.diagrams.scenario import Scenario
+from tofssm_drake.diagrams.scenario import Scenario, get_links
 from tofssm_drake.diagrams.station import Station, make_station
 from tofssm_drake.evaluation.ground_truth import TruthModel
 from tofssm_drake.evaluation.recorder import SampleRecorder
 from tofssm_drake.messages import RINGS
+from tofssm_drake.robot.kinematics import RingKinematics
+from tofssm_drake.sensing.lidar_mount import make_lidar_kinematics
 from tofssm_drake.sensing.vl53l1x import calc_cast_range
 from tofssm_drake.visualization.recording import FPS, set_scene
 from tofssm_drake.visualization.ring_rays import RingRays
@@ -55,7 +57,12 @@ def make_workcell(
     builder = DiagramBuilder()
     station = make_station(scenario)
     builder.AddSystem(station.diagram)
-    monitor = builder.AddSystem(make_monitor(scenario))
+    avatar = station.avatar
+    monitor = builder.AddSystem(
+        make_monitor(
+            scenario, person_radii=[] if avatar is None else avatar.radii
+        )
+    )
     for i in range(monitor.num_input_ports()):
         port = monitor.get_input_port(i)
         builder.Connect(station.diagram.GetOutputPort(port.get_name()), port)
@@ -73,18 +80,16 @@ def make_workcell(
 
 def _add_recorder(builder, scenario, station, monitor):
     avatar = station.avatar
-    truth = TruthModel(
-        plant=station.plant,
-        inspector=station.scene_graph.model_inspector(),
-        radii=[] if avatar is None else avatar.radii,
-    )
+    truth = _make_truth(scenario, station)
+    has_rings = scenario.sensing == "tof"
     recorder = builder.AddNamedSystem(
         "recorder",
         SampleRecorder(
             truth=truth,
             motion=None if avatar is None else avatar.motion,
             period=scenario.control_period,
-            num_sensors=scenario.sensors_per_ring,
+            rings=get_links(scenario),
+            num_sensors=scenario.sensors_per_ring if has_rings else 0,
             metadata=make_run_metadata(scenario, station, truth.body_names),
         ),
     )
@@ -102,12 +107,32 @@ def _add_recorder(builder, scenario, station, monitor):
         "reason",
         "separation",
         "dsi",
-        *(f"masked_scan_{ring}" for ring in RINGS),
+        *(f"masked_scan_{ring}" for ring in RINGS if has_rings),
     ):
         builder.Connect(
             monitor.GetOutputPort(name), recorder.GetInputPort(name)
         )
     return recorder
+
+
+def _make_truth(scenario, station):
+    """Makes the truth of the links that the sensing watches."""
+    options = {}
+    if scenario.sensing == "lidar":
+        config = scenario.lidar_separation
+        options = {
+            "kinematics": make_lidar_kinematics(
+                scenario.lidar, RingKinematics.from_plant(station.plant)
+            ),
+            # What the distance rule takes off, so that both compare.
+            "link_offset": config.workspace_radius - config.threshold_offset,
+        }
+    return TruthModel(
+        plant=station.plant,
+        inspector=station.scene_graph.model_inspector(),
+        radii=[] if station.avatar is None else station.avatar.radii,
+        **options,
+    )
 
 
 def _add_display(builder, scenario, station, monitor, meshcat):
@@ -120,6 +145,14 @@ def _add_display(builder, scenario, station, monitor, meshcat):
         meshcat,
         MeshcatVisualizerParams(role=Role.kIllustration, publish_period=period),
     )
+    light = builder.AddNamedSystem(
+        "state_light", StateLight(meshcat=meshcat, period=period)
+    )
+    builder.Connect(
+        monitor.GetOutputPort("robot_state"), light.GetInputPort("robot_state")
+    )
+    if scenario.sensing != "tof":
+        return
     rays = builder.AddNamedSystem(
         "ring_rays",
         RingRays(
@@ -138,9 +171,3 @@ def _add_display(builder, scenario, station, monitor, meshcat):
     for name in RINGS:
         port = f"masked_scan_{name}"
         builder.Connect(monitor.GetOutputPort(port), rays.GetInputPort(port))
-    light = builder.AddNamedSystem(
-        "state_light", StateLight(meshcat=meshcat, period=period)
-    )
-    builder.Connect(
-        monitor.GetOutputPort("robot_state"), light.GetInputPort("robot_state")
-    )

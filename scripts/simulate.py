@@ -20,6 +20,7 @@ from rich.progress import Progress as ProgressBar
 import typer
 
 from tofssm_drake.diagrams.scenario import (
+    SENSINGS,
     Scenario,
     dump_scenario,
     load_scenario,
@@ -67,6 +68,13 @@ def simulate(
         str | None,
         typer.Option(help="Safety law: vo, vr or sm.", metavar="vo|vr|sm"),
     ] = None,
+    sensing: Annotated[
+        str | None,
+        typer.Option(
+            help="Rings on the arm, the true person, or a lidar at the base.",
+            metavar="tof|ideal|lidar",
+        ),
+    ] = None,
     sensors_per_ring: Annotated[
         int | None, typer.Option(help="8 or 16.")
     ] = None,
@@ -109,6 +117,7 @@ def simulate(
     override(
         scenario,
         ssm=ssm,
+        sensing=sensing,
         sensors_per_ring=sensors_per_ring,
         human_motion=human_motion,
         seed=seed,
@@ -152,6 +161,7 @@ def override(
     scenario: Scenario,
     *,
     ssm: str | None = None,
+    sensing: str | None = None,
     sensors_per_ring: int | None = None,
     human_motion: Path | None = None,
     seed: int | None = None,
@@ -162,6 +172,7 @@ def override(
     Args:
         scenario: Changed in place; checked afterwards.
         ssm: Configuration of the safety law.
+        sensing: What the monitor watches the person with.
         sensors_per_ring: Which rings.
         human_motion: BVH file; other settings of a recording are kept.
         seed: Random seed.
@@ -177,6 +188,13 @@ def override(
             f"{', '.join(CONFIGURATIONS)}",
         )
         scenario.ssm.configuration = ssm.lower()
+    if sensing is not None:
+        require(
+            sensing.lower() in SENSINGS,
+            f"--sensing: {sensing!r} is unknown, use one of "
+            f"{', '.join(SENSINGS)}",
+        )
+        scenario.sensing = sensing.lower()
     if sensors_per_ring is not None:
         scenario.sensors_per_ring = sensors_per_ring
     if human_motion is not None:

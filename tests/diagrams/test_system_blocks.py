@@ -5,6 +5,7 @@ import inspect
 import pkgutil
 import unittest
 
+import numpy as np
 from pydrake.geometry import Meshcat
 from pydrake.systems.framework import Diagram, LeafSystem
 import yaml
@@ -18,11 +19,20 @@ from tofssm_drake.evaluation.ground_truth import GroundTruth, TruthModel
 from tofssm_drake.geometry.ray_caster import RayCaster
 from tofssm_drake.hardware.robot_connection import NullConnection
 import tofssm_drake.hardware.rtde_systems as rtde_systems
+from tofssm_drake.robot.kinematics import RingKinematics
 import tofssm_drake.robot.sim_ur10 as sim_ur10
+from tofssm_drake.sensing.ideal_separation import (
+    IdealSeparation,
+    IdealSeparationConfig,
+)
 from tofssm_drake.sensing.lidar_2d import (
     Lidar2d,
     Lidar2dConfig,
     make_lidar_bundle,
+)
+from tofssm_drake.sensing.lidar_separation import (
+    LidarSeparation,
+    LidarSeparationConfig,
 )
 
 _MARKER = ".. pydrake_system::"
@@ -103,10 +113,23 @@ class TestSystemBlocks(unittest.TestCase):
             caster=caster,
             bundle=make_lidar_bundle(config=lidar_config, caster=caster),
         )
+        kinematics = RingKinematics.from_plant(station.plant)
+        ideal_separation = IdealSeparation(
+            config=IdealSeparationConfig(),
+            kinematics=kinematics,
+            radii=station.avatar.radii,
+        )
+        lidar_separation = LidarSeparation(
+            config=LidarSeparationConfig(),
+            kinematics=kinematics,
+            background=np.full(720, np.inf),
+        )
         connection = NullConnection()
         return [
             GroundTruth(model=model),
             lidar,
+            ideal_separation,
+            lidar_separation,
             rtde_systems.RtdeInterfaceSystem(connection=connection),
             rtde_systems.RtdeSubscriberSystem(connection=connection),
             rtde_systems.RtdePublisherSystem(connection=connection),

@@ -41,6 +41,7 @@ def make_run(duration=10.0, *, sensors=8, geometry=True) -> Samples:
             f"{ring}_measured_distance": inf.copy(),
             f"{ring}_true_distance": inf.copy(),
             f"{ring}_closing_speed": np.full(n, 1.6),
+            f"{ring}_link_closing_speed": zero.copy(),
             f"{ring}_d_C": np.full(n, 0.6),
             f"{ring}_d_R": np.full(n, 1.1),
             f"{ring}_dsi_raw": zero.copy(),

@@ -123,3 +123,6 @@ class TestSamples(unittest.TestCase):
         self.assertEqual(
             mut.narrow_type("true_distance", np.array([2.0])).dtype, np.float64
         )
+        # A lidar has more rays than eight bits count.
+        many = mut.narrow_type("clear", np.array([2.0, 720.0]))
+        self.assertEqual(many.tolist(), [2, 720])

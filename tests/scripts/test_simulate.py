@@ -215,6 +215,19 @@ class TestOptions:
             ]
             assert set(np.sum(counts, axis=0)[-10:]) == {16}
 
+    @pytest.mark.parametrize(
+        ("sensing", "links"), [("ideal", RINGS), ("lidar", ("lidar",))]
+    )
+    def test_sensing(self, tmp_path, sensing, links):
+        assert run("--sensing", sensing, *SHORT, "--out", tmp_path) == 0
+        summary = read_summary(tmp_path)
+        assert summary["scenario"]["sensing"] == sensing
+        samples = read_samples(tmp_path)
+        assert samples.rings == links
+        for link in links:
+            assert np.isfinite(samples[f"{link}_measured_distance"][-1])
+            assert samples.scan[link]["time"].shape == (0,)
+
     def test_human_motion(self, full_run):
         summary = read_summary(full_run / "out")
         human = summary["scenario"]["human"]
@@ -345,6 +358,14 @@ BAD_INPUT = {
     "unknown_ssm_in_text": (
         _text("{ssm: {configuration: vx}}"),
         "ssm.configuration: 'vx' is unknown",
+    ),
+    "unknown_sensing": (
+        ("--sensing", "radar"),
+        "--sensing: 'radar' is unknown, use one of tof, ideal, lidar",
+    ),
+    "unknown_sensing_in_text": (
+        _text("{sensing: radar}"),
+        "sensing: 'radar' is unknown",
     ),
     "nine_sensors": (
         ("--sensors-per-ring", "9"),

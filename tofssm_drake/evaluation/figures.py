@@ -19,7 +19,7 @@ import numpy as np
 
 from tofssm_drake.evaluation.metrics import StateEvent, find_contacts
 from tofssm_drake.evaluation.samples import Samples
-from tofssm_drake.messages import Reading, RobotState
+from tofssm_drake.messages import RINGS, Reading, RobotState
 
 BLACK = "#000000"
 ORANGE = "#E69F00"
@@ -133,6 +133,24 @@ def pick(samples: Samples, name: str, ring: np.ndarray) -> np.ndarray:
     return np.take_along_axis(
         samples.ring(name), np.asarray(ring)[:, None], axis=1
     )[:, 0]
+
+
+_WATCHER = {
+    "tof": "the rings",
+    "ideal": "motion capture",
+    "lidar": "the lidar",
+}
+
+
+def get_watcher(samples: Samples) -> str:
+    """Returns what watched the person, in words."""
+    return _WATCHER[samples.metadata.get("sensing", "tof")]
+
+
+def name_link(samples: Samples, link: str) -> str:
+    """Returns what to call one of the watched links, e.g. "base ring"."""
+    noun = {"tof": "ring", "ideal": "link", "lidar": ""}
+    return f"{link} {noun[samples.metadata.get('sensing', 'tof')]}".strip()
 
 
 def _finite(values):
@@ -409,7 +427,7 @@ def _draw_distance(ax, samples, columns, narrow, top, touched):
         narrow,
         color=BLUE,
         linewidth=1.6,
-        label="measured by the rings",
+        label=f"measured by {get_watcher(samples)}",
     )
     _draw_least(
         ax,
@@ -622,27 +640,33 @@ def find_place_states(
 
 
 def make_rings(samples: Samples, *, narrow: bool = False) -> Figure:
-    """What each ring measured: its distance, and every sensor's readings."""
+    """What each ring measured: its distance, and every sensor's readings.
+
+    A sensing that records no scans has its links' distances only.
+    """
     rings = samples.rings
     t = samples["t"]
+    strips = 2 if samples.metadata.get("sensing", "tof") == "tof" else 1
     with matplotlib.rc_context(_STYLE):
         figure = Figure(
-            figsize=(4.3, 3.4 * len(rings)) if narrow else (10.6, 3.1 * 3),
+            figsize=_size_rings(len(rings), strips, narrow),
             layout="constrained",
         )
         figure.get_layout_engine().set(h_pad=0.02, hspace=0.0)
         axes = figure.subplots(
-            2 * len(rings),
+            strips * len(rings),
             1,
             sharex=True,
-            height_ratios=[1.25, 1.0] * len(rings),
+            height_ratios=[1.25, 1.0][:strips] * len(rings),
             squeeze=False,
         )[:, 0]
         image = None
         for i, ring in enumerate(rings):
             columns = 0 if i else 2 if narrow else 4
-            _draw_ring_distance(axes[2 * i], samples, ring, columns, narrow)
-            image = _draw_readings(axes[2 * i + 1], samples, ring) or image
+            ax = axes[strips * i]
+            _draw_ring_distance(ax, samples, ring, columns, narrow)
+            if strips == 2:
+                image = _draw_readings(axes[2 * i + 1], samples, ring) or image
         axes[0].set_xlim(t[0], max(t[-1], t[0] + 1e-3))
         axes[-1].set_xlabel("time (s)")
         if image is not None:
@@ -675,6 +699,12 @@ def make_rings(samples: Samples, *, narrow: bool = False) -> Figure:
     return figure
 
 
+def _size_rings(rings, strips, narrow):
+    if strips == 1:
+        return (4.3, 1.0 + 2.3 * rings) if narrow else (10.6, 0.8 + 2.2 * rings)
+    return (4.3, 3.4 * rings) if narrow else (10.6, 3.1 * 3)
+
+
 def _draw_ring_distance(ax, samples, ring, columns, narrow):
     t = samples["t"]
     _shade(ax, samples)
@@ -692,7 +722,9 @@ def _draw_ring_distance(ax, samples, ring, columns, narrow):
         color=BLACK,
         linewidth=1.0,
         linestyle=(0, (5, 1.5)),
-        label="true, from link centre",
+        label="true, from link centre"
+        if ring in RINGS
+        else f"true, from the {ring}",
     )
     _draw_least(
         ax, t, measured, narrow, color=BLUE, linewidth=1.6, label="measured"
@@ -701,7 +733,7 @@ def _draw_ring_distance(ax, samples, ring, columns, narrow):
     ax.set_ylabel("m")
     if columns:
         _legend(ax, columns=columns)
-    ax.set_title(f"{ring} ring", pad={0: 6, 2: 34, 4: 20}[columns])
+    ax.set_title(name_link(samples, ring), pad={0: 6, 2: 34, 4: 20}[columns])
 
 
 def make_reading_image(

@@ -337,6 +337,10 @@ class TruthModel:
         models: Names of the model instances that make up the robot. Their
             proximity geometry must be capsules and spheres.
         pelvis: Index of the capsule whose centre is the person's place.
+        kinematics: Where the watched links are instead of at frames of the
+            plant; `rings` then has no effect.
+        link_offset: Taken off the links' distances to the person, which do
+            not fall below 0 by it, m. For a sensing that does so as well.
 
     Attributes:
         layout: Where each quantity sits, a `TruthLayout`.
@@ -358,11 +362,15 @@ class TruthModel:
         rings: tuple[str, ...] = RINGS,
         models: tuple[str, ...] = ("ur10", "gripper"),
         pelvis: int = 0,
+        kinematics: RingKinematics | None = None,
+        link_offset: float = 0.0,
     ):
         robot = RobotCapsules.from_plant(plant, inspector, models=models)
-        kinematics = RingKinematics.from_plant(plant, rings=rings)
+        if kinematics is None:
+            kinematics = RingKinematics.from_plant(plant, rings=rings)
         self._radii = np.array(radii, dtype=float).ravel()
         self._pelvis = pelvis
+        self._link_offset = link_offset
         self._robot = (
             kinematics.X_WB,
             kinematics.X_PJ,
@@ -374,7 +382,7 @@ class TruthModel:
             robot.radius,
             robot.body,
         )
-        self.layout = TruthLayout(len(rings))
+        self.layout = TruthLayout(len(kinematics.name))
         self.body_names = robot.body_names
         self.num_positions = len(kinematics.X_PJ)
         self.skeleton_size = 6 * len(self._radii)
@@ -402,6 +410,9 @@ class TruthModel:
             self._pelvis,
             truth,
         )
+        if self._link_offset:
+            links = truth[:, self.layout.ring_distance]
+            links[:] = np.maximum(links - self._link_offset, 0.0)
         return truth
 
 

@@ -7,7 +7,8 @@ Definitions:
 - A *stop event* is a change of the robot state to stop after start-up, a
   *reduce event* one from normal to reduced. Recovering (stop to reduced,
   reduced to normal) is no event of either kind.
-- An *episode* is the time from leaving normal until normal lasts for 0.5 s.
+- An *episode* is the time from leaving normal (the first one: from slowing
+  down at all) until normal lasts for 0.5 s.
   Close to a threshold the state changes with every few samples: an episode
   is what a bystander would call one slowing down.
 - A *standstill* begins when the speed fraction falls below 0.01 after
@@ -229,8 +230,14 @@ def find_episodes(
     groups = []
     back = -np.inf
     for event in events:
-        opens = event.before == RobotState.NORMAL
-        if opens and event.time - back >= _SETTLE_TIME:
+        # Before the first one normal may never have come to stay.
+        if event.after < event.before and (
+            not groups
+            or (
+                event.before == RobotState.NORMAL
+                and event.time - back >= _SETTLE_TIME
+            )
+        ):
             groups.append([])
         if groups:
             groups[-1].append(event)

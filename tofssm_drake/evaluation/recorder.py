@@ -37,6 +37,7 @@ _COUNTS = ("clear", "valid", "masked", "faulted")
 _OF_SEPARATION = {
     "measured_distance": "distance",
     "closing_speed": "k_o",
+    "link_closing_speed": "k_l",
     "sensor": "sensor",
     "health": "health",
     "sequence": "sequence",

@@ -14,6 +14,7 @@ from tofssm_drake.evaluation.approach import (
     Approach,
     RingApproach,
 )
+from tofssm_drake.evaluation.audit import calc_audit
 from tofssm_drake.evaluation.metrics import (
     Contact,
     Episode,
@@ -27,11 +28,12 @@ from tofssm_drake.messages import RobotState
 
 _ROWS_SHOWN = 30
 _NONE = "\u2013"
+_NOUN = {"tof": "ring", "ideal": "link", "lidar": ""}
 
 _CONFIGURATION = {
     "vo": (
         "Vo",
-        "directed relative speed of robot and person, as the rings measure it",
+        "directed relative speed of robot and person, as measured",
     ),
     "vr": ("Vr", "directed speed of the robot alone"),
     "sm": ("SM", "fixed distances, whatever the speeds"),
@@ -87,12 +89,15 @@ def count_of(count: int, noun: str) -> str:
     return f"{count or 'no'} {noun}s"
 
 
-def make_verdict(summary: dict, *, products: int) -> list[tuple[str, str]]:
+def make_verdict(
+    summary: dict, *, products: int, watcher: str = "the rings"
+) -> list[tuple[str, str]]:
     """Says in plain words how the run went.
 
     Args:
         summary: What `calc_summary` returned.
         products: Products of the task.
+        watcher: What watched the person, in words.
 
     Returns:
         (grade, sentence) pairs; grade is `good`, `bad` or `note`.
@@ -151,7 +156,7 @@ def make_verdict(summary: dict, *, products: int) -> list[tuple[str, str]]:
         verdict.append(
             (
                 "note",
-                f"The rings slowed the robot in "
+                f"{watcher[0].upper()}{watcher[1:]} slowed the robot in "
                 f"{count_of(episodes, 'episode')} and {stood}. It was told "
                 f"to stop for {summary['stopped_s']:.1f} s and to run at "
                 f"half speed for {summary['reduced_s']:.1f} s in all.",
@@ -166,7 +171,7 @@ def make_verdict(summary: dict, *, products: int) -> list[tuple[str, str]]:
                 "note",
                 f"A stop came late {_times(late)}: the person was truly within "
                 f"a link's critical distance for more than "
-                f"{USUAL_DELAY:.2f} s before the rings said so.",
+                f"{USUAL_DELAY:.2f} s before a stop was asked for.",
             )
         )
     return verdict
@@ -227,18 +232,27 @@ def _make_headlines(summary, products):
         Headline(
             value=(_NONE if rmse is None else f"{1000 * rmse:.0f}\u00a0mm"),
             label="distance error (RMSE)",
-            note="rings against truth, in range",
+            note="measured against truth, in range",
         ),
         Headline(
             value=(f"{100 * np.mean(shares):.0f}\u00a0%" if shares else _NONE),
             label="person in range and seen",
-            note="mean of the rings, over time",
+            note="mean of the links, over time",
         ),
     ]
 
 
-def describe_contact(contact: Contact) -> list[str]:
-    """Tells one contact in sentences: what, how fast, and who saw it."""
+def _call(link, noun):
+    return f"{link} {noun}".strip()
+
+
+def describe_contact(contact: Contact, noun: str = "ring") -> list[str]:
+    """Tells one contact in sentences: what, how fast, and who saw it.
+
+    Args:
+        contact: Which.
+        noun: What a watched link is called after its name.
+    """
     text = [
         f"At {contact.time:.2f} s the robot's {_words(contact.robot_body)} "
         f"touched the person's {_words(contact.person_part)} while moving at "
@@ -246,8 +260,8 @@ def describe_contact(contact: Contact) -> list[str]:
         f"over the {contact.duration:.2f} s of the contact). The robot was "
         f"in state {figures.STATE_NAME[contact.robot_state]}."
     ]
-    text.append(describe_cause(contact.approach, contact))
-    text += [describe_ring(ring) for ring in contact.approach.rings]
+    text.append(describe_cause(contact.approach, contact, noun))
+    text += [describe_ring(ring, noun) for ring in contact.approach.rings]
     if not contact.blind:
         seen = " and ".join(v.ring for v in contact.views if v.seen)
         text.append(f"At the contact itself the person was seen (by {seen}):")
@@ -258,12 +272,14 @@ def describe_contact(contact: Contact) -> list[str]:
             else f"and the last time was {contact.last_seen:.2f} s before"
         )
         text.append(f"At the contact itself no sensor saw the person, {ago}:")
-    text += [describe_view(view) for view in contact.views]
+    text += [describe_view(view, noun) for view in contact.views]
     return text
 
 
-def describe_cause(approach: Approach, contact: Contact) -> str:
-    """Concludes why the robot was still moving."""
+def describe_cause(
+    approach: Approach, contact: Contact, noun: str = "ring"
+) -> str:
+    """Concludes why the robot was still moving; noun: see describe_contact."""
     ring = approach.ring
     stopped = math.isfinite(approach.stop)
     if stopped:
@@ -284,17 +300,17 @@ def describe_cause(approach: Approach, contact: Contact) -> str:
         return f"Why: {late}, because of {where}."
     if approach.cause == "unseen":
         at = f" It was in {where}." if approach.sensors is not None else ""
-        return f"Why: the person was never seen by any ring.{at}"
+        return f"Why: the person was never seen by any {noun or 'ray'}.{at}"
     if approach.cause == "late":
         return (
             f"Why: {late}, although the person was inside a beam of the "
-            f"{ring} ring: its reading or the filter came too late."
+            f"{_call(ring, noun)}: its reading or the filter came too late."
         )
     if approach.cause == "beyond":
         return (
-            "Why: the touching part is farther from every ring's centre than "
-            "the distance at which that ring stops the robot: no ring was "
-            "due."
+            f"Why: the touching part is farther from every "
+            f"{noun or 'sensor'}'s centre than the distance at which that one "
+            f"stops the robot: no {noun or 'stop'} was due."
         )
     speed = format_number(approach.person_speed, 2, "m/s")
     text = (
@@ -309,15 +325,16 @@ def describe_cause(approach: Approach, contact: Contact) -> str:
     return f"{text}."
 
 
-def describe_ring(ring: RingApproach) -> str:
-    """Tells how one ring followed the approach."""
+def describe_ring(ring: RingApproach, noun: str = "ring") -> str:
+    """Tells how one ring followed the approach; noun: see describe_contact."""
+    name = _call(ring.ring, noun)
     if math.isinf(ring.due):
-        text = f"{ring.ring} ring: the person was never within its d_C"
+        text = f"{name}: the person was never within its d_C"
         if math.isfinite(ring.reacted):
             text += f"; it said stop at {ring.reacted:.2f} s all the same"
         return f"{text}."
     text = (
-        f"{ring.ring} ring: the person came within its d_C of "
+        f"{name}: the person came within its d_C of "
         f"{ring.d_C:.2f} m at {ring.due:.2f} s; it "
     )
     if ring.late == 0.0:
@@ -345,8 +362,8 @@ def _off(angle):
     return f"{-math.degrees(angle):.0f}° inside"
 
 
-def describe_view(view) -> str:
-    """Tells what one ring made of the person at a contact."""
+def describe_view(view, noun: str = "ring") -> str:
+    """Tells what one ring made of the person; noun: see describe_contact."""
     if math.isnan(view.measured_distance):
         read = "had no scan"
     elif math.isinf(view.measured_distance):
@@ -354,7 +371,7 @@ def describe_view(view) -> str:
     else:
         read = f"read {view.measured_distance:.2f} m"
     text = (
-        f"{view.ring} ring {read}; the person's nearest point was "
+        f"{_call(view.ring, noun)} {read}; the person's nearest point was "
         f"{max(view.true_distance, 0):.2f} m from its centre"
     )
     if view.sensors is not None:
@@ -392,7 +409,9 @@ def _make_contact(contact, samples):
         for view in contact.views
         if view.sensors is not None
     ]
-    text = describe_contact(contact)
+    text = describe_contact(
+        contact, _NOUN[samples.metadata.get("sensing", "tof")]
+    )
     rings = len(contact.approach.rings)
     return {
         "time": contact.time,
@@ -472,8 +491,8 @@ def _make_figures(samples, events, contacts):
         ),
         "rings": _make_both(
             figures.make_rings,
-            "For each ring: measured and true distance with the thresholds, "
-            "and every sensor's readings over time.",
+            "For each watched link: measured and true distance with the "
+            "thresholds, and with rings every sensor's readings over time.",
             samples,
         ),
     }
@@ -499,7 +518,8 @@ def make_report(
         samples: The run. Of `metadata` it reads what is there of
             `scenario_name`, `scenario` (text), `ssm`, `human`, `products`,
             `seed`, `sensors_per_ring`, `versions`, `command`, `plan`,
-            `ring_geometry`, `robot_bodies`, `person_parts`, `interrupted`.
+            `ring_geometry`, `robot_bodies`, `person_parts`, `interrupted`,
+            `sensing`, `audit`.
         summary: What `calc_summary` returned, with whatever else the run's
             `summary.json` holds (`real_time_factor`).
         recording: Where the replay is, relative to the report; instants are
@@ -530,7 +550,11 @@ def make_report(
         name=metadata.get("scenario_name", "run"),
         products=products,
         summary=summary,
-        verdict=make_verdict(summary, products=products),
+        verdict=make_verdict(
+            summary, products=products, watcher=figures.get_watcher(samples)
+        ),
+        sensing=metadata.get("sensing", "tof"),
+        audit=make_audit_section(samples),
         headlines=_make_headlines(summary, products),
         configuration=_CONFIGURATION.get(ssm),
         shortfall=_SHORTFALL.get(ssm),
@@ -549,6 +573,71 @@ def make_report(
     return page.lstrip()
 
 
+def make_audit_section(samples: Samples) -> dict | None:
+    """Puts the audit of a run into words and rows.
+
+    Args:
+        samples: The run, see `calc_audit`.
+
+    Returns:
+        `shortfall` rows, `sentences`, `latency` rows and its `total`; None if
+        the run can not be audited.
+    """
+    audit = calc_audit(samples)
+    if audit is None or not len(audit.walking_in.values):
+        return None
+    link = figures.name_link
+    worst = audit.walking_in
+    sentences = [
+        f"At worst, at {worst.time:.2f} s ({link(samples, worst.link)}, "
+        f"moving towards the person at {worst.v_r:.2f} m/s), the standard asks "
+        f"for {worst.S_p:.2f} m where the law kept d_C = {worst.d_C:.2f} m: "
+        f"{_describe_gap(worst.worst)}.",
+        f"For {audit.inside:.1f} s the robot was not told to stop though the "
+        "person was truly nearer to a watched link than the standard's "
+        "distance for a person who walks in.",
+        f"The tool reached {audit.tcp_speed:.2f} m/s. From there a UR10 may "
+        f"take {1000 * audit.stop_time:.0f} ms to stop (category 0, worst "
+        f"case), the law reckons with {1000 * audit.T_stop:.0f} ms; the "
+        f"robot's time was the longer one for "
+        f"{100 * audit.slow_share:.0f} % of the run.",
+    ]
+    late = audit.total_latency - audit.T_R
+    return {
+        "shortfall": [
+            _make_shortfall_row(f"walking in at {worst.v_h:.1f} m/s", worst),
+            *(
+                [_make_shortfall_row("as measured", audit.as_measured)]
+                if audit.monitors_person
+                else []
+            ),
+        ],
+        "sentences": sentences,
+        "latency": [
+            (name, f"{1000 * part:.0f}") for name, part in audit.latency.items()
+        ],
+        "total": f"{1000 * audit.total_latency:.0f}",
+        "T_R": f"{1000 * audit.T_R:.0f}",
+        "late": f"{1000 * abs(late):.0f}",
+        "is_late": late > 1e-9,
+    }
+
+
+def _describe_gap(gap):
+    if gap > 0.0:
+        return f"{gap:.2f} m too short"
+    return f"{-gap:.2f} m to spare"
+
+
+def _make_shortfall_row(name, shortfall):
+    return {
+        "name": name,
+        "quantiles": [format_number(q) for q in shortfall.quantiles],
+        "worst": format_number(shortfall.worst),
+        "share": f"{100 * shortfall.share:.0f} %",
+    }
+
+
 def _make_ring_rows(samples, summary):
     rows = []
     for ring in samples.rings:
@@ -558,7 +647,7 @@ def _make_ring_rows(samples, summary):
         masked = samples[f"{ring}_masked"].astype(float)
         rows.append(
             {
-                "name": ring,
+                "name": figures.name_link(samples, ring),
                 "rmse": _NONE if rmse is None else f"{1000 * rmse:.0f} mm",
                 "share": _NONE if share is None else f"{100 * share:.0f} %",
                 "ghost": format_number(
@@ -584,10 +673,16 @@ def _make_facts(samples, summary):
     facts = [("Scenario", metadata.get("scenario_name"))]
     for term, key in (
         ("Person", "human"),
+        ("Sensing", "sensing"),
         ("Sensors per ring", "sensors_per_ring"),
         ("Seed", "seed"),
         ("Command", "command"),
     ):
+        if (
+            key == "sensors_per_ring"
+            and metadata.get("sensing", "tof") != "tof"
+        ):
+            continue
         if metadata.get(key) is not None:
             facts.append((term, metadata[key]))
     facts.append(("Simulated", format_number(summary["simulated_s"], 1, "s")))

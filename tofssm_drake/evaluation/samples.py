@@ -36,6 +36,7 @@ RING_COLUMNS = (
     "measured_distance",
     "true_distance",
     "closing_speed",
+    "link_closing_speed",
     "d_C",
     "d_R",
     "dsi_raw",
@@ -139,10 +140,15 @@ def narrow_type(kind: str, values: np.ndarray) -> np.ndarray:
         values: Floating-point values.
 
     Returns:
-        A copy: integers for states, counts and indices.
+        A copy: integers for states, counts and indices, in 32 bits where
+        they are too many for the usual type (a lidar's rays).
     """
     if kind in _INTEGERS:
-        return np.round(values).astype(_INTEGERS[kind])
+        whole = np.round(values)
+        dtype = _INTEGERS[kind]
+        if np.abs(whole).max(initial=0) > np.iinfo(dtype).max:
+            dtype = np.int32
+        return whole.astype(dtype)
     return np.array(values)
 
 

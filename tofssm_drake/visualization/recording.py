@@ -98,6 +98,8 @@ def add_overlay(
         state=[palette.to_hex(palette.STATE[s]) for s in RobotState],
         word=[palette.STATE_WORD[s] for s in RobotState],
         run=make_run_data(samples),
+        has_beams=samples is None
+        or samples.metadata.get("sensing", "tof") == "tof",
     )
     head, end, tail = page.rpartition("</body>")
     head = head.replace(

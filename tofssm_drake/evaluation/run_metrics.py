@@ -1,0 +1,393 @@
+"""The paper's metrics of one run, from its samples only.
+
+`calc_run_metrics` returns one flat row of numbers: a campaign has one per
+run, and a recording of real hardware gives the same. Definitions, besides
+those of `tofssm_drake.evaluation.metrics`:
+
+- *Productivity* is t_NoHRI / t_HRI (paper, Eq. 10a). t_NoHRI is the path time
+  of the program at the end of t_HRI, i.e. the integral of the speed fraction:
+  what the same motion takes at full speed. t_HRI ends when the last product
+  is placed, or with the record if it is not; then productivity is that of the
+  part that was done, and `finished` is 0.
+- *Safety metric* is ||D_gt||^2 / ||V_tool|| (Eq. 10b): the mean and the
+  median over the samples in which the tool moves faster than 0.01 m/s, and
+  the ratio of the means of numerator and denominator over all samples.
+- The *true distance* ||D_gt|| is between the surfaces of robot and person; an
+  overlap counts as 0.
+- An *approach* begins when ||D_gt|| falls to the nominal critical distance
+  (0.5 m) and ends when it has been above it for 0.5 s. A *stop* begins with
+  a stop event and ends when the robot has not been in state stop for 0.5 s.
+  Both belong together if they overlap or are less than 0.5 s apart.
+- The *reaction time* is that from the beginning of an approach to that of
+  the first stop that belongs to it; negative: the stop came before. A stop
+  counts once, for the first approach it belongs to. An approach without any
+  stop is *missed*, a stop without any approach is *false*. What began before
+  the end of start-up has no reaction time.
+- The *time to stop* is that from a stop event until the speed fraction is
+  below 0.01; the *time to reduce* that from a reduce event until it is at
+  most 0.5. It does not exist where the speed fraction was there already, or
+  where the state rises again before.
+- The *distance error* is that of the nearest distance over the links, as it
+  stood at that tick, against ||D_gt||, while ||D_gt|| is within the sensors'
+  best range (1.31 m) and any link reports a distance. `centre` takes the
+  distance as measured (from the link's centre, or the base's axis),
+  `surface` takes off the radius of what it was measured from. `link` is
+  against another truth: the nearest of the links' own true distances, of which
+  the measured one is the measurement.
+- *Chatter* shows in the changes of state, per minute after start-up and per
+  episode.
+
+Rows are a control tick apart, which is how exactly all these times are known.
+"""
+
+import dataclasses as dc
+
+import numpy as np
+
+from tofssm_drake.evaluation.approach import STANDING, count_late_stops
+from tofssm_drake.evaluation.audit import calc_audit
+from tofssm_drake.evaluation.metrics import (
+    MOVING_SPEED,
+    calc_distance_rmse,
+    calc_periods,
+    find_contacts,
+    find_episodes,
+    find_start,
+    find_state_events,
+)
+from tofssm_drake.evaluation.samples import Samples
+from tofssm_drake.messages import RobotState
+
+NOMINAL_CRITICAL_DISTANCE = 0.5
+"""Where a reaction time is counted from, m (paper: about 0.5 m at a stop)."""
+BEST_RANGE = 1.31
+"""Distance up to which distance errors are compared, m (paper)."""
+_SETTLE_TIME = 0.5
+_REDUCED = 0.5
+# A profile that ends at the reduced speed fraction gets there but for
+# rounding.
+_ROUNDING = 1e-6
+
+
+@dc.dataclass(frozen=True, kw_only=True)
+class Reactions:
+    """How the stops fit the approaches of the person."""
+
+    times: tuple[float, ...]
+    """Reaction times, s, in order; negative: anticipated."""
+    approaches: int
+    """Approaches after start-up."""
+    missed: int
+    """Those of them without a stop."""
+    false: int
+    """Stops without an approach."""
+
+
+def calc_productivity(t_no_hri: float, t_hri: float) -> float:
+    """Returns t_NoHRI / t_HRI (paper, Eq. 10a); NaN if t_HRI is 0."""
+    return t_no_hri / t_hri if t_hri > 0.0 else np.nan
+
+
+def calc_safety_metric(
+    true_distance: np.ndarray, tcp_speed: np.ndarray
+) -> tuple[float, float, float]:
+    """Averages ||D_gt||^2 / ||V_tool|| (paper, Eq. 10b).
+
+    Args:
+        true_distance: ||D_gt||, m, (k,); negative counts as 0.
+        tcp_speed: ||V_tool||, m/s, (k,).
+
+    Returns:
+        (mean, ratio of means, median), m^2/(m/s). Mean and median are over
+        the samples with a tool speed above 0.01 m/s. All are NaN without a
+        person (a distance of inf), or if the tool never moves.
+    """
+    square = np.maximum(true_distance, 0.0) ** 2
+    moving = tcp_speed > MOVING_SPEED
+    if not (moving.any() and np.isfinite(square).all()):
+        return np.nan, np.nan, np.nan
+    ratio = square[moving] / tcp_speed[moving]
+    return (
+        float(ratio.mean()),
+        float(square.mean() / tcp_speed.mean()),
+        float(np.median(ratio)),
+    )
+
+
+def find_reactions(
+    *,
+    t: np.ndarray,
+    robot_state: np.ndarray,
+    true_distance: np.ndarray,
+    threshold: float = NOMINAL_CRITICAL_DISTANCE,
+) -> Reactions:
+    """Matches stops with approaches; see the top of this module.
+
+    Args:
+        t: Times, s, (k,).
+        robot_state: `RobotState`, (k,).
+        true_distance: ||D_gt||, m, (k,).
+        threshold: Nominal critical distance, m.
+    """
+    start = find_start(robot_state)
+    is_stop = np.array(robot_state) == RobotState.STOP
+    is_stop[:start] = False
+    stops = _find_merged_spans(t, is_stop)
+    approaches = _find_merged_spans(t, np.asarray(true_distance) <= threshold)
+    matches = [
+        [
+            i
+            for i, (begin, end) in enumerate(stops)
+            if begin - last < _SETTLE_TIME and first - end < _SETTLE_TIME
+        ]
+        for first, last in approaches
+    ]
+    # What is there in the first row began at an unknown time before it.
+    began = t[start] if start < len(t) else np.inf
+    times, used = [], set()
+    counted = missed = 0
+    for (first, _), match in zip(approaches, matches, strict=True):
+        if first <= max(began, t[0]):
+            used.update(match)
+            continue
+        counted += 1
+        if not match:
+            missed += 1
+        elif match[0] not in used:
+            times.append(float(stops[match[0]][0] - first))
+        used.update(match)
+    return Reactions(
+        times=tuple(times),
+        approaches=counted,
+        missed=missed,
+        false=len(stops) - len(used),
+    )
+
+
+def _find_merged_spans(t, flags):
+    """Returns (first, last) time of each stretch; short gaps are bridged."""
+    rows = np.flatnonzero(flags)
+    if not len(rows):
+        return []
+    breaks = np.flatnonzero(
+        (np.diff(rows) > 1) & (np.diff(t[rows]) >= _SETTLE_TIME)
+    )
+    first = rows[np.concatenate(([0], breaks + 1))]
+    last = rows[np.append(breaks, len(rows) - 1)]
+    return list(zip(t[first].tolist(), t[last].tolist(), strict=True))
+
+
+def _find_times_until(t, state, rho, rows, limit):
+    """Returns how long rho takes from each row to the limit, where it does.
+
+    Args:
+        t: Times, s, (k,).
+        state: `RobotState`, (k,).
+        rho: Speed fraction, (k,).
+        rows: Rows of the events.
+        limit: rho has to be below it.
+    """
+    times = []
+    for row in rows:
+        if rho[row] < limit:
+            continue
+        there = np.flatnonzero(rho[row:] < limit)
+        risen = np.flatnonzero(state[row:] > state[row])
+        if len(there) and not (len(risen) and risen[0] < there[0]):
+            times.append(t[row + there[0]] - t[row])
+    return times
+
+
+def calc_run_metrics(samples: Samples) -> dict[str, float]:
+    """Returns the paper's metrics of a run, one flat row of numbers.
+
+    Args:
+        samples: The run. Of `metadata` it reads `products` (default 10) and
+            `link_offset_m`, by link how far from where a distance is measured
+            the surface is that it stands for (default: 0).
+
+    Returns:
+        Numbers by name with unit; NaN where one does not exist:
+
+        - `simulated_s`, `products_placed`, `finished` (1 or 0),
+          `task_time_s`, `nominal_time_s` (t_NoHRI), `productivity`;
+        - `safety_mean_m2_per_mps`, `safety_ratio_of_means_m2_per_mps`,
+          `safety_median_m2_per_mps`;
+        - `stop_events`, `reduce_events`, `velocity_change_at_stop_mps`,
+          `separation_at_stop_m`, `separation_at_reduce_m`, `time_to_stop_s`,
+          `time_to_reduce_s`: means over the events;
+        - `approaches`, `reaction_events`, `reaction_time_s` (mean),
+          `missed_events`, `false_events`;
+        - `distance_rmse_centre_m`, `distance_rmse_surface_m`,
+          `distance_rmse_link_m`; `detection_share`, of the time with ||D_gt||
+          within the best range that in which any link reports a distance;
+        - `stopped_s`, `reduced_s`, `normal_s`, `slow_episodes`,
+          `state_changes`, `state_changes_per_min`,
+          `state_changes_per_episode`;
+        - `contacts_while_moving`, `contact_speed_max_mps`,
+          `min_true_distance_m`, `mean_true_distance_m`, `late_stops`,
+          `tcp_speed_max_mps`;
+        - those of `Audit.make_row`, if the run can be audited.
+    """
+    audit = calc_audit(samples)
+    return (
+        _calc_productivity(samples)
+        | _calc_safety(samples)
+        | _calc_events(samples)
+        | _calc_reactions(samples)
+        | _calc_distance_errors(samples)
+        | ({} if audit is None else audit.make_row())
+    )
+
+
+def _mean(values):
+    return float(np.mean(values)) if len(values) else np.nan
+
+
+def _calc_productivity(samples):
+    t, periods = samples["t"], calc_periods(samples["t"])
+    placed = samples["products_placed"]
+    products = int(samples.metadata.get("products", 10))
+    last = np.flatnonzero(placed >= products)
+    finished = len(last) > 0 and products > 0
+    end = int(last[0]) if finished else len(t)
+    t_no_hri = float((samples["speed_fraction"] * periods)[:end].sum())
+    t_hri = float(periods[:end].sum())
+    return {
+        "simulated_s": float(periods.sum()),
+        "products_placed": float(placed.max(initial=0)),
+        "finished": float(finished),
+        "task_time_s": t_hri if finished else np.nan,
+        "nominal_time_s": t_no_hri,
+        "productivity": calc_productivity(t_no_hri, t_hri),
+    }
+
+
+def _calc_safety(samples):
+    true = np.maximum(samples["true_distance"], 0.0)
+    speed = samples["tcp_speed"]
+    mean, ratio, median = calc_safety_metric(true, speed)
+    contacts = find_contacts(samples)
+    someone = len(true) > 0 and bool(np.isfinite(true).all())
+    return {
+        "safety_mean_m2_per_mps": mean,
+        "safety_ratio_of_means_m2_per_mps": ratio,
+        "safety_median_m2_per_mps": median,
+        "contacts_while_moving": float(len(contacts)),
+        "contact_speed_max_mps": max(
+            (contact.max_speed for contact in contacts), default=0.0
+        ),
+        "min_true_distance_m": float(true.min()) if someone else np.nan,
+        "mean_true_distance_m": float(true.mean()) if someone else np.nan,
+        "late_stops": float(
+            count_late_stops(samples, find_start(samples["robot_state"]))
+        ),
+        "tcp_speed_max_mps": float(speed.max(initial=0.0)),
+    }
+
+
+def _calc_events(samples):
+    t, state = samples["t"], samples["robot_state"]
+    rho = samples["speed_fraction"]
+    periods = calc_periods(t)
+    start = find_start(state)
+    events = find_state_events(samples)
+    stops = [e for e in events if e.kind == "stop"]
+    reductions = [e for e in events if e.kind == "reduce"]
+
+    def find_rows(chosen):
+        return np.searchsorted(t, [event.time for event in chosen])
+
+    def separation(chosen):
+        distance = [max(event.true_distance, 0.0) for event in chosen]
+        return _mean([d for d in distance if np.isfinite(d)])
+
+    def duration(value):
+        return float(periods[start:][state[start:] == value].sum())
+
+    episodes = find_episodes(samples, events)
+    running = float(periods[start:].sum())
+    changes = sum(episode.changes for episode in episodes)
+    return {
+        "stop_events": float(len(stops)),
+        "reduce_events": float(len(reductions)),
+        "velocity_change_at_stop_mps": _mean([e.tcp_speed for e in stops]),
+        "separation_at_stop_m": separation(stops),
+        "separation_at_reduce_m": separation(reductions),
+        "time_to_stop_s": _mean(
+            _find_times_until(t, state, rho, find_rows(stops), STANDING)
+        ),
+        "time_to_reduce_s": _mean(
+            _find_times_until(
+                t, state, rho, find_rows(reductions), _REDUCED + _ROUNDING
+            )
+        ),
+        "stopped_s": duration(RobotState.STOP),
+        "reduced_s": duration(RobotState.REDUCED),
+        "normal_s": duration(RobotState.NORMAL),
+        "slow_episodes": float(len(episodes)),
+        "state_changes": float(len(events)),
+        "state_changes_per_min": (
+            60.0 * len(events) / running if running else np.nan
+        ),
+        "state_changes_per_episode": (
+            changes / len(episodes) if episodes else np.nan
+        ),
+    }
+
+
+def _calc_reactions(samples):
+    reactions = find_reactions(
+        t=samples["t"],
+        robot_state=samples["robot_state"],
+        true_distance=samples["true_distance"],
+    )
+    return {
+        "approaches": float(reactions.approaches),
+        "reaction_events": float(len(reactions.times)),
+        "reaction_time_s": _mean(reactions.times),
+        "missed_events": float(reactions.missed),
+        "false_events": float(reactions.false),
+    }
+
+
+def _calc_distance_errors(samples):
+    periods = calc_periods(samples["t"])
+    true = np.maximum(samples["true_distance"], 0.0)
+    in_range = true <= BEST_RANGE
+    true = np.where(in_range, true, np.inf)
+    centre, surface = calc_nearest_distances(samples)
+    near = periods[in_range].sum()
+    seen = periods[in_range & np.isfinite(centre)].sum()
+    of_link = samples.ring("true_distance").min(axis=1)
+    of_link = np.where(in_range, of_link, np.inf)
+
+    def error(measured, truth):
+        rmse = calc_distance_rmse(measured, truth)
+        return np.nan if rmse is None else rmse
+
+    return {
+        "distance_rmse_centre_m": error(centre, true),
+        "distance_rmse_surface_m": error(surface, true),
+        "distance_rmse_link_m": error(centre, of_link),
+        "detection_share": float(seen / near) if near else np.nan,
+    }
+
+
+def calc_nearest_distances(samples: Samples) -> tuple[np.ndarray, np.ndarray]:
+    """Returns the nearest measured distance over the links, m, (k,) each.
+
+    Args:
+        samples: The run; see `calc_run_metrics`.
+
+    Returns:
+        (centre, surface): as measured, and with what is between the place
+        that it was measured from and the surface taken off (not below 0).
+        inf: all links are clear, or know nothing.
+    """
+    measured = samples.ring("measured_distance")
+    measured = np.where(np.isnan(measured), np.inf, measured)
+    offsets = samples.metadata.get("link_offset_m", {})
+    offset = np.array([offsets.get(link, 0.0) for link in samples.rings])
+    surface = np.maximum(measured - offset, 0.0)
+    return measured.min(axis=1), surface.min(axis=1)

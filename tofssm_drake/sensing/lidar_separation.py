@@ -1,0 +1,351 @@
+"""Separation from a planar lidar at the robot's base.
+
+It sees what a person has at the height of its plane: legs, or the lower
+torso. Two things follow from where it stands. The distance is that from the
+base's axis, so either the law's distances grow by the radius of the robot's
+workspace or the radius is taken off the distance. And the lidar does not move
+with the robot: what it measures of a speed is the person's alone.
+"""
+
+import dataclasses as dc
+import math
+from typing import Protocol
+
+import numpy as np
+from pydrake.common.value import Value
+from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
+
+from tofssm_drake.errors import require, require_period
+from tofssm_drake.messages import (
+    LidarScan,
+    Reading,
+    Separation,
+    make_empty_separation,
+)
+from tofssm_drake.sensing.readings import calc_ring_health, count_readings
+from tofssm_drake.sensing.vl53l1x import check_range
+
+LIDAR = ("lidar",)
+"""Name of the one link that a lidar watches: the whole robot."""
+
+DISTANCE_RULES = ("raw", "subtracted", "literal")
+
+
+@dc.dataclass(kw_only=True)
+class LidarSeparationConfig:
+    """How a distance and directed speeds follow from a lidar's scans."""
+
+    # How the workspace radius r_o enters. "raw": the distance from the base's
+    # axis as it is; r_o is added to the law's C_dC and to its fixed distances
+    # (1.12 m, 1.32 m and 1.92 m by default). "subtracted": max(d - r_o, 0),
+    # with the law's distances as they are. "literal": the paper's Eq. 11,
+    # d - r_o outside of the workspace and d inside, which jumps from 0 to r_o
+    # at its border; for comparison only.
+    distance_rule: str = "raw"
+
+    # Radius r_o of the robot's workspace about the base's axis, m (paper).
+    workspace_radius: float = 0.82
+
+    # A return so far before the taught background, m, is of something that
+    # came in; one so far behind it, or none at all, means that the background
+    # is gone (*assumed*: five standard deviations of the lidar's noise).
+    background_margin: float = 0.05
+
+    # From one scan to the next the same person is looked for so far to the
+    # side, m (*assumed*: either leg of a stride). A speed is the difference
+    # of two such distances.
+    track_width: float = 0.4
+
+    # Scans that lie farther apart than this say nothing about a speed, s
+    # (*assumed*: two periods and a bit).
+    max_gap: float = 0.1
+
+    # Speed of a person whose motion is not known yet, m/s (ISO/TS 15066).
+    V_hmax: float = 1.6
+
+    # Of all rays so many may be faulted at a time, else the robot stops
+    # (*assumed*).
+    max_faulted_share: float = 0.05
+
+    def check(self, where: str) -> None:
+        """Raises UserError unless every setting is within its limits."""
+        require(
+            self.distance_rule in DISTANCE_RULES,
+            f"{where}.distance_rule: {self.distance_rule!r} is unknown, use "
+            f"one of {', '.join(DISTANCE_RULES)}",
+        )
+        for name, low, high in (
+            ("workspace_radius", 0.0, 10.0),
+            ("background_margin", 0.001, 1.0),
+            ("track_width", 0.01, 10.0),
+            ("max_gap", 0.0, 10.0),
+            ("V_hmax", 0.0, 10.0),
+            ("max_faulted_share", 0.0, 1.0),
+        ):
+            check_range(where, name, getattr(self, name), low, high)
+
+    @property
+    def threshold_offset(self) -> float:
+        """What the law's distances grow by, m."""
+        return self.workspace_radius if self.distance_rule == "raw" else 0.0
+
+
+def calc_lidar_distance(config: LidarSeparationConfig, d):
+    """Returns ||D|| that the law compares, m.
+
+    Args:
+        config: rule and workspace radius.
+        d: from the base's axis, m, a number or an array; inf stays inf.
+    """
+    r_o = config.workspace_radius
+    if config.distance_rule == "raw":
+        return d
+    if config.distance_rule == "subtracted":
+        return np.maximum(d - r_o, 0.0)
+    return np.where(d > r_o, d - r_o, d)
+
+
+def classify_rays(
+    *, ranges: np.ndarray, background: np.ndarray, margin: float
+) -> np.ndarray:
+    """Tells what each ray's range means beside the taught background.
+
+    VALID before the background or where there is none; MASKED at the
+    background; CLEAR without return where none was taught. FAULTED where the
+    background is gone (it was moved, or hides behind something that reflects
+    nothing) and for what is no range.
+
+    Args:
+        ranges: m, (n,); inf: no return.
+        background: of the same rays in the empty cell, m, (n,); inf: none.
+        margin: m.
+
+    Returns:
+        `Reading`, (n,), uint8.
+    """
+    is_taught = np.isfinite(background)
+    gap = np.full(len(ranges), np.nan)
+    np.subtract(ranges, background, out=gap, where=is_taught)
+    reading = np.full(len(ranges), Reading.FAULTED, dtype=np.uint8)
+    reading[np.isposinf(ranges) & ~is_taught] = Reading.CLEAR
+    reading[np.abs(gap) <= margin] = Reading.MASKED
+    is_before = np.isfinite(ranges) & ((gap < -margin) | ~is_taught)
+    reading[is_before & (ranges >= 0.0)] = Reading.VALID
+    return reading
+
+
+def find_nearest_around(
+    *,
+    angles: np.ndarray,
+    ranges: np.ndarray,
+    reading: np.ndarray,
+    angle: float,
+    distance: float,
+    width: float,
+) -> float:
+    """Returns the nearest VALID range at or beside a place, m; inf: none.
+
+    Args:
+        angles: of the rays, rad, (n,).
+        ranges: m, (n,).
+        reading: `Reading` of each, (n,).
+        angle: of the place, rad.
+        distance: of the place, m.
+        width: how far beside it, m.
+    """
+    turn = np.abs(np.mod(angles - angle + math.pi, 2 * math.pi) - math.pi)
+    half = width / distance if distance > width else math.pi
+    near = (reading == Reading.VALID) & (turn <= half)
+    return float(ranges[near].min(initial=math.inf))
+
+
+@dc.dataclass(frozen=True, eq=False, kw_only=True)
+class _Classified:
+    """A scan with what its rays mean, to compare the next one with."""
+
+    scan: LidarScan = dc.field(default_factory=LidarScan)
+    reading: np.ndarray = dc.field(
+        default_factory=lambda: np.empty(0, dtype=np.uint8)
+    )
+
+    def __deepcopy__(self, memo):
+        return self
+
+
+def calc_lidar_separation(
+    *,
+    config: LidarSeparationConfig,
+    scan: LidarScan,
+    reading: np.ndarray,
+    previous: LidarScan | None = None,
+    previous_reading: np.ndarray | None = None,
+    v_WT: np.ndarray,
+    k_max: float = 3.3,
+) -> Separation:
+    """Calculates the separation of the robot from a lidar's scan.
+
+    The nearest VALID ray decides. P^ is its direction: the lidar's axes are
+    those of the world. Of the robot the tool counts (it is what reaches as
+    far as r_o): k_l = V_tool . P^. The lidar stands still, so the person's own
+    speed towards it is the change of the raw distance from scan to scan, and
+    k_o = k_l - (d(t) - d(t - dt)) / dt. Where the scan before shows nothing
+    within `track_width`, k_o = k_l + V_hmax. Without any VALID ray the
+    distance is inf, k_l = ||V_tool|| and k_o = ||V_tool|| + V_hmax.
+
+    Args:
+        config: settings.
+        scan: at least one.
+        reading: of its rays, see classify_rays(), (n,).
+        previous: the scan before; None: there was none.
+        previous_reading: of that.
+        v_WT: velocity of the tool, m/s, (3,).
+        k_max: k_l and k_o are saturated to +-k_max, m/s.
+    """
+    speed = float(np.linalg.norm(v_WT))
+    count = count_readings(reading)
+    health = calc_ring_health(
+        count, int(config.max_faulted_share * len(reading))
+    )
+    d = np.where(reading == Reading.VALID, scan.ranges, np.inf)
+    ray = int(np.argmin(d)) if len(d) else -1
+    if ray < 0 or not np.isfinite(d[ray]):
+        ray, distance = -1, math.inf
+        direction = np.full(3, np.nan)
+        k_l, v_h = speed, config.V_hmax
+    else:
+        angle = scan.angles[ray]
+        distance = float(calc_lidar_distance(config, d[ray]))
+        direction = np.array([math.cos(angle), math.sin(angle), 0.0])
+        k_l = float(v_WT @ direction)
+        v_h = config.V_hmax
+        dt = math.inf if previous is None else scan.time - previous.time
+        if 0.0 < dt <= config.max_gap:
+            before = find_nearest_around(
+                angles=previous.angles,
+                ranges=previous.ranges,
+                reading=previous_reading,
+                angle=angle,
+                distance=d[ray],
+                width=config.track_width,
+            )
+            if math.isfinite(before):
+                v_h = (before - d[ray]) / dt
+    return Separation(
+        name=LIDAR,
+        sequence=np.array([scan.sequence]),
+        time=np.array([scan.time]),
+        distance=np.array([distance]),
+        sensor=np.array([ray]),
+        direction=direction[None],
+        link_speed=np.array([speed]),
+        k_l=np.clip([k_l], -k_max, k_max),
+        k_o=np.clip([k_l + v_h], -k_max, k_max),
+        health=np.array([health]),
+        count=count[None],
+    )
+
+
+class ToolKinematics(Protocol):
+    """What LidarSeparation needs to know of the robot."""
+
+    def calc_sites(
+        self, q: np.ndarray, qd: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Returns X_WS and v_WS (s, 3) of sites, the last one the tool."""
+
+
+class LidarSeparation(LeafSystem):
+    """Calculates the separation of the robot from its planar lidar.
+
+    .. pydrake_system::
+
+        name: LidarSeparation
+        input_ports:
+        - scan
+        - position_measured
+        - velocity_measured
+        output_ports:
+        - separation
+
+    See calc_lidar_separation(). A new scan is looked for at every control
+    tick. The tool's velocity is the one that the robot reports at that tick,
+    which is newer than the scan.
+
+    What the cell itself shows is taught once, as with a real scanner: the
+    `background` is a scan of the empty cell. That serves as long as nothing
+    but people moves in the lidar's plane, so the plane must be below what the
+    robot reaches. Behind the background (a table's leg) the lidar sees
+    nobody.
+    """
+
+    def __init__(
+        self,
+        *,
+        config: LidarSeparationConfig,
+        k_max: float = 3.3,
+        kinematics: ToolKinematics,
+        background: np.ndarray,
+        period: float = 0.008,
+    ):
+        """Constructs the system.
+
+        Args:
+            config: settings.
+            k_max: k_l and k_o are saturated to +-k_max, m/s.
+            kinematics: of the robot.
+            background: of the empty cell, m, (n,); inf: nothing in range.
+            period: control tick, s.
+
+        Raises:
+            UserError: if a setting is out of range.
+        """
+        super().__init__()
+        config.check("lidar_separation")
+        require_period(period)
+        self._config = dc.replace(config)
+        self._k_max = k_max
+        self._kinematics = kinematics
+        self._background = np.array(background, dtype=float)
+        self._scan = self.DeclareAbstractInputPort("scan", Value(LidarScan()))
+        self._position = self.DeclareVectorInputPort("position_measured", 6)
+        self._velocity = self.DeclareVectorInputPort("velocity_measured", 6)
+        self._before = self.DeclareAbstractState(Value(_Classified()))
+        self._separation = self.DeclareAbstractState(
+            Value(make_empty_separation(LIDAR))
+        )
+        self.DeclareStateOutputPort("separation", self._separation)
+        self.DeclarePeriodicUnrestrictedUpdateEvent(period, 0.0, self._update)
+
+    def _update(self, context: Context, state: State):
+        scan = self._scan.Eval(context)
+        before = context.get_abstract_state(self._before).get_value()
+        if scan.sequence < 0 or scan.sequence == before.scan.sequence:
+            return EventStatus.DidNothing()
+        if scan.ranges.shape != self._background.shape:
+            raise ValueError(
+                f"scan has {len(scan.ranges)} rays, the background "
+                f"{len(self._background)}"
+            )
+        reading = classify_rays(
+            ranges=scan.ranges,
+            background=self._background,
+            margin=self._config.background_margin,
+        )
+        _, v_WS = self._kinematics.calc_sites(
+            self._position.Eval(context), self._velocity.Eval(context)
+        )
+        is_first = before.scan.sequence < 0
+        separation = calc_lidar_separation(
+            config=self._config,
+            scan=scan,
+            reading=reading,
+            previous=None if is_first else before.scan,
+            previous_reading=None if is_first else before.reading,
+            v_WT=v_WS[-1],
+            k_max=self._k_max,
+        )
+        state.get_mutable_abstract_state(self._separation).set_value(separation)
+        state.get_mutable_abstract_state(self._before).set_value(
+            _Classified(scan=scan, reading=reading)
+        )
+        return EventStatus.Succeeded()
