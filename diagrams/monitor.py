@@ -28,7 +28,6 @@ from tofssm_drake.ssm.dsi_filter import DsiFilter
 from tofssm_drake.ssm.speed_fraction import SpeedFractionTrajectory
 from tofssm_drake.ssm.tri_ssm import TriSsmState
 
-<<<<<<< HEAD
 # Ports and their sizes, in the order of OcclusionMask's `robot_report`.
 _ROBOT_REPORT = {
     "position_measured": 6,
@@ -36,10 +35,7 @@ _ROBOT_REPORT = {
     "gripper_closed": 1,
     "products_placed": 1,
 }
-=======
 _JOINTS = ("position_measured", "velocity_measured")
-_ROBOT_REPORT = (*_JOINTS, "gripper_closed", "products_placed")
->>>>>>> ev1
 
 
 def make_monitor(
