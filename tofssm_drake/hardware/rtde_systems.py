@@ -15,7 +15,6 @@ from pydrake.systems.framework import (
     BasicVector,
     Context,
     EventStatus,
-    LeafSystem,
     State,
 )
 
@@ -27,6 +26,7 @@ from tofssm_drake.hardware.slider import (
     SliderState,
     step_slider,
 )
+from tofssm_drake.leaf_system import LeafSystem
 from tofssm_drake.messages import RobotReport, SliderCommand
 
 

@@ -13,9 +13,14 @@ from typing import Protocol
 
 import numpy as np
 from pydrake.common.value import Value
-from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
+from pydrake.systems.framework import (
+    Context,
+    EventStatus,
+    State,
+)
 
 from tofssm_drake.errors import require, require_period
+from tofssm_drake.leaf_system import LeafSystem
 from tofssm_drake.messages import (
     LidarScan,
     Reading,
