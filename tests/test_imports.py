@@ -83,6 +83,11 @@ class TestImports(unittest.TestCase):
     def test_the_safety_law_knows_only_messages(self):
         self.assertEqual(self.rooms["ssm"], {"messages", "errors"})
 
+    def test_hardware_stands_on_messages_and_models(self):
+        self.assertLessEqual(
+            self.rooms["hardware"], {"messages", "errors", "robot", "sensing"}
+        )
+
     def test_geometry_serves_four(self):
         self.assertLessEqual(self.rooms["geometry"], {"messages", "errors"})
         users = {r for r, names in self.rooms.items() if "geometry" in names}
@@ -116,7 +121,8 @@ class TestImports(unittest.TestCase):
 
         known = {
             *("pydrake", "jinja2", "matplotlib", "numba", "numpy"),
-            *("pyarrow", "yaml", "rich", "ruckig", "typer", "tofssm_drake"),
+            *("pyarrow", "rich", "ruckig", "serial", "typer", "yaml"),
+            "tofssm_drake",
         }
         extras = {
             "tofssm_drake.robot.meshes": {
