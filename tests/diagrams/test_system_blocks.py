@@ -16,6 +16,12 @@ from tofssm_drake.diagrams.station import make_station
 from tofssm_drake.diagrams.workcell import make_workcell
 from tofssm_drake.evaluation.ground_truth import GroundTruth, TruthModel
 from tofssm_drake.geometry.ray_caster import RayCaster
+from tofssm_drake.hardware.ring_link import NullRingLink
+from tofssm_drake.hardware.ring_receiver import RingDecoder, RingLinkConfig
+from tofssm_drake.hardware.ring_systems import (
+    RingInterfaceSystem,
+    RingSubscriberSystem,
+)
 from tofssm_drake.hardware.robot_connection import NullConnection
 import tofssm_drake.hardware.rtde_systems as rtde_systems
 import tofssm_drake.robot.sim_ur10 as sim_ur10
@@ -104,6 +110,13 @@ class TestSystemBlocks(unittest.TestCase):
             bundle=make_lidar_bundle(config=lidar_config, caster=caster),
         )
         connection = NullConnection()
+        interface = RingInterfaceSystem(
+            connection=NullRingLink(
+                decoder=RingDecoder(
+                    config=RingLinkConfig(), num_sensors=8, timing_budget=0.02
+                )
+            )
+        )
         return [
             GroundTruth(model=model),
             lidar,
@@ -112,6 +125,8 @@ class TestSystemBlocks(unittest.TestCase):
             rtde_systems.RtdePublisherSystem(connection=connection),
             rtde_systems.RobotReportReceiver(),
             rtde_systems.SliderControl(),
+            interface,
+            RingSubscriberSystem(interface=interface),
         ]
 
     def test_every_public_system(self):

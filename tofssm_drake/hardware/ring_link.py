@@ -8,6 +8,8 @@ robot.
 
 from collections.abc import Callable, Sequence
 import dataclasses as dc
+import errno
+import os
 import selectors
 import socket
 import threading
@@ -201,7 +203,11 @@ class SerialTransport:
             )
             self._serial.reset_input_buffer()
         except (OSError, ValueError) as error:
-            reason = getattr(error, "strerror", None) or str(error)
+            number = getattr(error, "errno", None)
+            if number in (errno.EAGAIN, errno.EBUSY):
+                reason = "another program has it"
+            else:
+                reason = os.strerror(number) if number else str(error)
             raise UserError(
                 f"{self.source}: can not open it: {reason}"
             ) from None
