@@ -11,6 +11,7 @@ import yaml
 
 import tofssm_drake
 from tofssm_drake.diagrams.monitor import make_monitor
+from tofssm_drake.diagrams.ring_world import make_ring_world
 from tofssm_drake.diagrams.scenario import load_scenario
 from tofssm_drake.diagrams.station import make_station
 from tofssm_drake.diagrams.workcell import make_workcell
@@ -126,7 +127,7 @@ class TestSystemBlocks(unittest.TestCase):
             rtde_systems.RobotReportReceiver(),
             rtde_systems.SliderControl(),
             interface,
-            RingSubscriberSystem(interface=interface),
+            RingSubscriberSystem(connection=interface.connection),
         ]
 
     def test_every_public_system(self):
@@ -152,6 +153,7 @@ class TestSystemBlocks(unittest.TestCase):
         for make, diagram in (
             (make_station, self.workcell.station.diagram),
             (make_monitor, make_monitor(self.scenario)),
+            (make_ring_world, make_ring_world(self.scenario)),
             (sim_ur10.make_sim_ur10, robot),
             (sim_ur10.make_inverse_dynamics_controller, controller),
         ):

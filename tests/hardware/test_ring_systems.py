@@ -8,6 +8,7 @@ from pydrake.systems.primitives import ConstantVectorSource
 
 from tofssm_drake.diagrams.monitor import make_monitor
 from tofssm_drake.diagrams.scenario import load_scenario
+from tofssm_drake.errors import UserError
 from tofssm_drake.hardware.ring_device import make_frame
 from tofssm_drake.hardware.ring_frame import encode_frame
 from tofssm_drake.hardware.ring_link import LoopbackRingLink, NullRingLink
@@ -67,7 +68,7 @@ def put(link, ring, sequence, time, **options):
     return link.put_datagram(encode_frame(frame), _HOST + time)
 
 
-def make_cell(link, *, clock_offset=None, start_timeout=0.0):
+def make_cell(link, *, clock_offset=None, wait_timeout=0.0):
     builder = DiagramBuilder()
     interface = builder.AddNamedSystem(
         "interface", mut.RingInterfaceSystem(connection=link)
@@ -75,7 +76,7 @@ def make_cell(link, *, clock_offset=None, start_timeout=0.0):
     subscriber = builder.AddNamedSystem(
         "rings",
         mut.RingSubscriberSystem(
-            interface=interface, start_timeout=start_timeout
+            connection=interface.connection, wait_timeout=wait_timeout
         ),
     )
     for ring in RINGS:
@@ -159,9 +160,9 @@ class TestRingSubscriberSystem(unittest.TestCase):
     def test_waits_for_every_ring(self):
         link = LoopbackRingLink(decoder=make_decoder())
         put(link, 0, 0, 0.0)
-        simulator = Simulator(make_cell(link, start_timeout=0.01))
+        simulator = Simulator(make_cell(link, wait_timeout=0.01))
         with self.assertRaisesRegex(
-            TimeoutError, "no scan of elbow, tool from loopback"
+            UserError, "no scan of elbow, tool from loopback"
         ):
             simulator.Initialize()
         put(link, 1, 0, 0.0)
@@ -178,15 +179,15 @@ class TestRingSubscriberSystem(unittest.TestCase):
         )
 
     def test_rejects_another_number_of_rings(self):
-        interface = mut.RingInterfaceSystem(
-            connection=NullRingLink(decoder=make_decoder())
-        )
+        link = NullRingLink(decoder=make_decoder())
         with self.assertRaisesRegex(ValueError, "3 rings, not of 2"):
-            mut.RingSubscriberSystem(interface=interface, name=("a", "b"))
+            mut.RingSubscriberSystem(connection=link, name=("a", "b"))
+        with self.assertRaisesRegex(UserError, "wait_timeout"):
+            mut.RingSubscriberSystem(connection=link, wait_timeout=-1.0)
 
     def test_diagram_shows_the_source(self):
         diagram = make_cell(NullRingLink(decoder=make_decoder()))
-        self.assertIn("rings=null", diagram.GetGraphvizString())
+        self.assertIn("ring_url=null", diagram.GetGraphvizString())
 
 
 class TestMonitorBehindTheLink(unittest.TestCase):
@@ -200,11 +201,9 @@ class TestMonitorBehindTheLink(unittest.TestCase):
         cls.link = _Relay()
         builder = DiagramBuilder()
         cls.monitor = builder.AddSystem(make_monitor(scenario))
-        interface = builder.AddSystem(
-            mut.RingInterfaceSystem(connection=cls.link)
-        )
+        builder.AddSystem(mut.RingInterfaceSystem(connection=cls.link))
         rings = builder.AddSystem(
-            mut.RingSubscriberSystem(interface=interface, start_timeout=0.0)
+            mut.RingSubscriberSystem(connection=cls.link, wait_timeout=0.0)
         )
         offset = builder.AddSystem(ConstantVectorSource([-_HOST]))
         builder.Connect(

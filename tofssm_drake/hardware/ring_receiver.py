@@ -84,9 +84,6 @@ class RingLinkConfig:
     # sensors at 42 Hz. 0: noise is not expected, repetitions are fine.
     frozen_samples: int = 12
 
-    # How long a run waits at its start for the first scan of every ring, s.
-    start_timeout: float = 10.0
-
     def check(self, where: str) -> None:
         """Raises UserError unless every setting is within its limits."""
         require(
@@ -106,7 +103,6 @@ class RingLinkConfig:
             ("max_earliness", 0.0, 1.0),
             ("late", 0.0, 10.0),
             ("frozen_samples", 0, 1000),
-            ("start_timeout", 0.0, 3600.0),
         ):
             check_range(where, name, getattr(self, name), low, high)
 

@@ -10,6 +10,7 @@ from pydrake.systems.framework import (
     State,
 )
 
+from tofssm_drake.errors import UserError, require
 from tofssm_drake.hardware.ring_link import RingConnection, explain_silence
 from tofssm_drake.messages import RINGS, RingScan
 
@@ -28,32 +29,34 @@ def shift_scan(scan: RingScan, offset: float) -> RingScan:
 
 
 class RingInterfaceSystem(LeafSystem):
-    """Owns the link to the rings for as long as the Diagram lives.
+    """Owns the link to the rings.
 
     .. pydrake_system::
 
         name: RingInterfaceSystem
 
-    It has neither ports nor state nor events: the link's own thread receives.
-    A RingSubscriberSystem takes the link from here; none of them opens a
-    socket.
-
-    Attributes:
-        connection: The link.
+    It has neither ports nor state nor events: the link receives in a thread
+    of its own. Put it into the Diagram, so that the link lives as long, and
+    give `connection` to the subscriber.
 
     Args:
-        connection: The link; who made it closes it.
+        connection: A `RingLink`, or one without rings.
     """
 
     def __init__(self, *, connection: RingConnection):
         super().__init__()
-        self.connection = connection
+        self._connection = connection
+
+    @property
+    def connection(self) -> RingConnection:
+        """What it owns."""
+        return self._connection
 
     def DoGetGraphvizFragment(self, params):
-        """Shows where the frames come from."""
-        source = self.connection.get_status().source
-        params.header_lines += [f"rings={source}"]
-        return LeafSystem.DoGetGraphvizFragment(self, params)
+        """Adds to the system's picture where the frames come from."""
+        source = self._connection.get_status().source
+        params.header_lines += [f"ring_url={source}"]
+        return super().DoGetGraphvizFragment(params)
 
 
 class RingSubscriberSystem(LeafSystem):
@@ -83,24 +86,29 @@ class RingSubscriberSystem(LeafSystem):
     def __init__(
         self,
         *,
-        interface: RingInterfaceSystem,
-        start_timeout: float = 10.0,
+        connection: RingConnection,
+        wait_timeout: float = 10.0,
         name: Sequence[str] = RINGS,
     ):
         """Constructs the system.
 
         Args:
-            interface: Owner of the link.
-            start_timeout: How long initialization waits for the first scans,
-                s; 0: it takes what there is, be it nothing.
+            connection: Where scans come from.
+            wait_timeout: Longest wait for the first scans at initialization,
+                s; 0 does not wait.
             name: The rings, in the order of the link's scans.
 
         Raises:
+            UserError: The time is out of range.
             ValueError: The link has another number of rings.
         """
         super().__init__()
-        self._connection = interface.connection
-        self._start_timeout = start_timeout
+        require(
+            0.0 <= wait_timeout <= 3600.0,
+            f"wait_timeout: must be from 0 to 3600 s, got {wait_timeout!r}",
+        )
+        self._connection = connection
+        self._wait_timeout = wait_timeout
         num_rings = len(self._connection.get_scans())
         if num_rings != len(name):
             raise ValueError(f"link of {num_rings} rings, not of {len(name)}")
@@ -122,6 +130,7 @@ class RingSubscriberSystem(LeafSystem):
             )
         self.DeclareInitializationUnrestrictedUpdateEvent(self._initialize)
         self.DeclarePerStepUnrestrictedUpdateEvent(self._take_scans)
+        self.DeclareForcedUnrestrictedUpdateEvent(self._take_scans)
 
     def _calc_scan(self, context: Context, index) -> RingScan:
         scan = context.get_abstract_state(index).get_value()
@@ -133,13 +142,11 @@ class RingSubscriberSystem(LeafSystem):
         """Waits for the rings.
 
         Raises:
-            TimeoutError: Some of them did not deliver.
+            UserError: Some of them did not deliver.
         """
-        if self._start_timeout > 0.0:
-            if not self._connection.wait_for_scans(self._start_timeout):
-                raise TimeoutError(
-                    explain_silence(self._connection.get_status())
-                )
+        if self._wait_timeout > 0.0:
+            if not self._connection.wait_for_scans(self._wait_timeout):
+                raise UserError(explain_silence(self._connection.get_status()))
         return self._take_scans(context, state)
 
     def _take_scans(self, context: Context, state: State):
