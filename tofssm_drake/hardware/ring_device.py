@@ -11,6 +11,7 @@ import numpy as np
 
 from tofssm_drake.errors import UserError
 from tofssm_drake.hardware.ring_address import SerialAddress, UdpAddress
+from tofssm_drake.hardware.ring_fault_injection import damage
 from tofssm_drake.hardware.ring_frame import (
     SEQUENCE_BITS,
     TIME_BITS,
@@ -98,9 +99,10 @@ class UdpSender:
                     f"{self.target}: can not send there: {error.strerror}"
                 ) from None
 
-    def send(self, frame: RingFrame) -> bool:
-        """Sends a frame; returns whether it left."""
-        return self.send_bytes(encode_frame(frame))
+    def send(self, frame: RingFrame, is_damaged: bool = False) -> bool:
+        """Sends a frame, damaged on request; returns whether it left."""
+        data = encode_frame(frame)
+        return self.send_bytes(damage(data) if is_damaged else data)
 
     def send_bytes(self, data: bytes) -> bool:
         """Sends a datagram; returns whether it left."""
@@ -131,9 +133,10 @@ class PtySender:
         self.path = os.ttyname(self._other_end)
         self.target = str(SerialAddress(path=self.path))
 
-    def send(self, frame: RingFrame) -> bool:
-        """Sends a frame; returns whether it left as a whole."""
-        return self.send_bytes(encode_serial(frame))
+    def send(self, frame: RingFrame, is_damaged: bool = False) -> bool:
+        """Sends a frame, damaged on request; returns whether it left whole."""
+        data = encode_serial(frame)
+        return self.send_bytes(damage(data) if is_damaged else data)
 
     def send_bytes(self, data: bytes) -> bool:
         """Sends bytes; returns whether they left as a whole."""
