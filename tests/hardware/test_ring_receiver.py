@@ -253,7 +253,7 @@ class TestRingReceiver(unittest.TestCase):
         self.assertTrue(np.isfinite(np.delete(scan.sensor_time, 2)).all())
 
     def test_frozen_sensor_is_faulted(self):
-        receiver = make_receiver()
+        receiver = make_receiver(frozen_samples=12)
 
         def change(frame):
             mm = frame.mm.copy()

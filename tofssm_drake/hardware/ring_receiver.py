@@ -78,11 +78,12 @@ class RingLinkConfig:
     # s. Only counted: its samples carry their true age.
     late: float = 0.02
 
-    # A distance that is repeated so often to the last bit is a frozen sensor.
-    # With the 2.3 mm of noise of a 20 ms budget two samples are equal with
-    # probability 0.12, so 12 in a row come once in 25000 hours with 24
-    # sensors at 42 Hz. 0: noise is not expected, repetitions are fine.
-    frozen_samples: int = 12
+    # A distance that is repeated so often to the last bit is a frozen sensor
+    # (*assumed*). Even with 0.75 mm of noise, 0.15 % of half a metre, two
+    # samples are equal with a probability of 0.35, and 25 in a row come once
+    # in some years with 24 sensors at 42 Hz. 0: noise is not expected, as of
+    # ideal sensors, and repetitions are fine.
+    frozen_samples: int = 25
 
     def check(self, where: str) -> None:
         """Raises UserError unless every setting is within its limits."""
