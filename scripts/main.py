@@ -15,6 +15,7 @@ def make_app() -> typer.Typer:
     has to work as well.
     """
     from tofssm_drake.scripts.simulate import simulate
+    from tofssm_drake.scripts.simulated_rings import simulated_rings
     from tofssm_drake.scripts.simulated_ur import simulated_ur
 
     app = typer.Typer(
@@ -26,6 +27,7 @@ def make_app() -> typer.Typer:
         pretty_exceptions_enable=False,
     )
     app.command()(simulate)
+    app.command("simulated-rings")(simulated_rings)
     app.command("simulated-ur")(simulated_ur)
     return app
 

@@ -12,11 +12,18 @@ import yaml
 
 import tofssm_drake
 from tofssm_drake.diagrams.monitor import make_monitor
+from tofssm_drake.diagrams.ring_world import make_ring_world
 from tofssm_drake.diagrams.scenario import load_scenario
 from tofssm_drake.diagrams.station import make_station
 from tofssm_drake.diagrams.workcell import make_workcell
 from tofssm_drake.evaluation.ground_truth import GroundTruth, TruthModel
 from tofssm_drake.geometry.ray_caster import RayCaster
+from tofssm_drake.hardware.ring_link import NullRingLink
+from tofssm_drake.hardware.ring_receiver import RingDecoder, RingLinkConfig
+from tofssm_drake.hardware.ring_systems import (
+    RingInterfaceSystem,
+    RingSubscriberSystem,
+)
 from tofssm_drake.hardware.robot_connection import NullConnection
 import tofssm_drake.hardware.rtde_systems as rtde_systems
 from tofssm_drake.leaf_system import LeafSystem as BaseLeafSystem
@@ -127,6 +134,13 @@ class TestSystemBlocks(unittest.TestCase):
             background=np.full(720, np.inf),
         )
         connection = NullConnection()
+        interface = RingInterfaceSystem(
+            connection=NullRingLink(
+                decoder=RingDecoder(
+                    config=RingLinkConfig(), num_sensors=8, timing_budget=0.02
+                )
+            )
+        )
         return [
             GroundTruth(model=model),
             lidar,
@@ -137,6 +151,8 @@ class TestSystemBlocks(unittest.TestCase):
             rtde_systems.RtdePublisherSystem(connection=connection),
             rtde_systems.RobotReportReceiver(),
             rtde_systems.SliderControl(),
+            interface,
+            RingSubscriberSystem(connection=interface.connection),
         ]
 
     def test_every_public_system(self):
@@ -162,6 +178,7 @@ class TestSystemBlocks(unittest.TestCase):
         for make, diagram in (
             (make_station, self.workcell.station.diagram),
             (make_monitor, make_monitor(self.scenario)),
+            (make_ring_world, make_ring_world(self.scenario)),
             (sim_ur10.make_sim_ur10, robot),
             (sim_ur10.make_inverse_dynamics_controller, controller),
         ):

@@ -1,0 +1,167 @@
+"""Rings in a simulated world around a robot that is elsewhere."""
+
+from collections.abc import Callable, Iterator, Sequence
+import heapq
+import itertools
+from typing import Protocol
+
+import numpy as np
+from pydrake.common import RandomGenerator
+from pydrake.systems.analysis import Simulator
+
+from tofssm_drake.diagrams.ring_world import make_ring_world
+from tofssm_drake.diagrams.scenario import Scenario
+from tofssm_drake.hardware.ring_device import DeviceClock, make_frame
+from tofssm_drake.hardware.ring_fault_injection import FaultInjector, RingFault
+from tofssm_drake.hardware.ring_frame import RingFrame
+from tofssm_drake.messages import RINGS
+
+# Longest time over which the robot's motion is carried on from its last
+# report, s: two of its control cycles and a little.
+_CARRY_ON = 0.02
+
+# Events at a time happen once the time has gone past it.
+_PAST = 1e-6
+
+
+class Report(Protocol):
+    """What is asked of a robot's report."""
+
+    sequence: int
+    """-1: there was none yet."""
+    time: float
+    """Host's time of its arrival, s."""
+    position: np.ndarray
+    """Joints, rad, (6,)."""
+    velocity: np.ndarray
+    """Joint speeds, rad/s, (6,)."""
+    digital_outputs: int
+    """Bits, or -1."""
+    products_placed: int
+    """How many, or -1."""
+
+
+def carry_on(report: Report, now: float) -> np.ndarray:
+    """Returns where the joints are a little after a report, rad, (6,).
+
+    Args:
+        report: The newest.
+        now: Host's time, s.
+    """
+    age = min(max(now - report.time, 0.0), _CARRY_ON)
+    return report.position + age * report.velocity
+
+
+def iterate_wake_times(scenario: Scenario) -> Iterator[float]:
+    """Yields when there is something to do, s: a sample, or scans to send.
+
+    Args:
+        scenario: Checked settings.
+    """
+    period = scenario.rings.period
+    firsts = [phase or period for phase in set(scenario.ring_phases)]
+    return heapq.merge(
+        *(_iterate_times(first, period) for first in firsts),
+        *(
+            _iterate_times(first + scenario.rings.latency, period)
+            for first in firsts
+        ),
+    )
+
+
+def _iterate_times(first, period):
+    return (first + k * period + _PAST for k in itertools.count())
+
+
+class SimulatedRings:
+    """Three rings whose frames follow from a robot's reports.
+
+    Attributes:
+        sent: How many frames of each ring were sent.
+    """
+
+    def __init__(
+        self,
+        *,
+        scenario: Scenario,
+        ring_numbers: Sequence[int] = (0, 1, 2),
+        gripper_output: int = 0,
+        clocks: Sequence[DeviceClock] | None = None,
+        faults: Sequence[RingFault] = (),
+        send: Callable[[RingFrame, bool], bool],
+    ):
+        """Makes the world.
+
+        Args:
+            scenario: Checked settings; rings, person, task and seed count.
+            ring_numbers: Numbers of the rings in the frames.
+            gripper_output: Bit of the robot's outputs that closes the gripper.
+            clocks: Of the rings' devices; None: they show the world's time.
+            faults: What goes wrong; their times are the world's.
+            send: Called with each frame and whether to damage it on the way;
+                returns whether it left.
+        """
+        self._timing_budget = scenario.rings.sensor.timing_budget
+        self._period = scenario.rings.period
+        self._ring_numbers = ring_numbers
+        self._gripper_output = gripper_output
+        self._clocks = clocks or [DeviceClock()] * len(RINGS)
+        self._injectors = [
+            FaultInjector(f for f in faults if f.ring == ring) for ring in RINGS
+        ]
+        self._send = send
+        self._diagram = make_ring_world(scenario)
+        context = self._diagram.CreateDefaultContext()
+        self._diagram.SetRandomContext(
+            context, RandomGenerator(scenario.random_seed)
+        )
+        self._compile(context.Clone())
+        self._simulator = Simulator(self._diagram, context)
+        self._context = self._simulator.get_mutable_context()
+        self._sequence = [-1] * len(RINGS)
+        self.sent = dict.fromkeys(RINGS, 0)
+
+    def _compile(self, context):
+        """Runs two periods in vain: the first call of a kernel is slow."""
+        for name, size in (
+            ("position_measured", 6),
+            ("gripper_closed", 1),
+            ("products_placed", 1),
+        ):
+            self._diagram.GetInputPort(name).FixValue(context, np.zeros(size))
+        Simulator(self._diagram, context).AdvanceTo(2.0 * self._period)
+
+    def advance(self, time: float, report: Report, now: float) -> None:
+        """Lets the rings look at the world, and sends what they delivered.
+
+        Args:
+            time: World's time, s; does not fall.
+            report: The robot's newest; there must be one.
+            now: Host's time at the world's time, s.
+        """
+        bits = max(report.digital_outputs, 0)
+        for name, value in (
+            ("position_measured", carry_on(report, now)),
+            ("gripper_closed", [float(bits >> self._gripper_output & 1)]),
+            ("products_placed", [float(max(report.products_placed, 0))]),
+        ):
+            self._diagram.GetInputPort(name).FixValue(self._context, value)
+        self._simulator.AdvanceTo(time)
+        for i, ring in enumerate(RINGS):
+            scan = self._diagram.GetOutputPort(f"scan_{ring}").Eval(
+                self._context
+            )
+            if scan.sequence == self._sequence[i]:
+                continue
+            self._sequence[i] = scan.sequence
+            frame, is_damaged = self._injectors[i].apply(
+                make_frame(
+                    scan,
+                    ring=self._ring_numbers[i],
+                    timing_budget=self._timing_budget,
+                    clock=self._clocks[i],
+                ),
+                scan.time,
+            )
+            if frame is not None and self._send(frame, is_damaged):
+                self.sent[ring] += 1

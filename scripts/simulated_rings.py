@@ -1,0 +1,187 @@
+"""`tofssm simulated-rings`: rings around a robot, to try things out with."""
+
+import dataclasses as dc
+from pathlib import Path
+import time
+from typing import Annotated
+
+from rich.console import Console
+import typer
+
+from tofssm_drake.diagrams.scenario import load_scenario
+from tofssm_drake.diagrams.simulated_rings import (
+    SimulatedRings,
+    iterate_wake_times,
+)
+from tofssm_drake.errors import require
+from tofssm_drake.hardware.ring_address import UdpAddress, parse_ring_address
+from tofssm_drake.hardware.ring_device import (
+    DeviceClock,
+    PtySender,
+    UdpSender,
+)
+from tofssm_drake.hardware.ring_fault_injection import parse_ring_fault
+from tofssm_drake.hardware.rtde_client import RtdeClient, RtdeConfig
+from tofssm_drake.messages import RINGS
+from tofssm_drake.scripts.simulate import catch_stop, override
+
+_console = Console(stderr=True, highlight=False)
+
+
+def simulated_rings(
+    robot_host: Annotated[
+        str, typer.Option(help="Address of the robot, real or simulated.")
+    ] = "127.0.0.1",
+    robot_port: Annotated[
+        int, typer.Option(help="The robot's RTDE port.")
+    ] = 30004,
+    to: Annotated[
+        str | None,
+        typer.Option(
+            help="Where the frames go.", metavar="udp://127.0.0.1:PORT"
+        ),
+    ] = None,
+    pty: Annotated[
+        bool,
+        typer.Option("--pty", help="Make a serial line and send there."),
+    ] = False,
+    scenario_file: Annotated[
+        Path | None,
+        typer.Option(help="YAML file of scenarios; default: those shipped."),
+    ] = None,
+    scenario_name: Annotated[
+        str, typer.Option(help="Which scenario of the file.")
+    ] = "Default",
+    scenario_text: Annotated[
+        str,
+        typer.Option(help="Settings to change, as YAML, e.g. '{a: {b: 1}}'."),
+    ] = "",
+    sensors_per_ring: Annotated[
+        int | None, typer.Option(help="8 or 16.")
+    ] = None,
+    human_motion: Annotated[
+        Path | None,
+        typer.Option(
+            help="A BVH recording whose gait the person walks with.",
+            metavar="FILE.bvh",
+        ),
+    ] = None,
+    seed: Annotated[
+        int | None, typer.Option(help="Seed of the sensors' errors.")
+    ] = None,
+    drift: Annotated[
+        float,
+        typer.Option(help="By how much the devices' clocks are fast, ppm."),
+    ] = 0.0,
+    fault: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="What goes wrong and when, s after the start; may be given "
+            "again. KIND is silent, corrupt, duplicate, frozen, late, "
+            "implausible, bus or restart.",
+            metavar="KIND:RING@START[-END]",
+        ),
+    ] = None,
+    duration: Annotated[
+        float, typer.Option(help="For how long, s; 0: until Ctrl-C.")
+    ] = 0.0,
+) -> int:
+    """Simulate three rings around a robot that runs, and send their frames.
+
+    The rings see the cell, the products and a person who walks, and the arm
+    where the robot reports it to be. The line that is printed tells where the
+    frames go; they flow once the robot has reported.
+    """
+    require(
+        (to is None) == pty,
+        "give either --to udp://ADDRESS:PORT or --pty",
+    )
+    require(
+        -10_000.0 <= drift <= 10_000.0,
+        f"--drift: must be from -10000 to 10000 ppm, got {drift:g}",
+    )
+    require(duration >= 0.0, f"--duration: must be 0 or more, got {duration:g}")
+    address = None
+    if to is not None:
+        address = parse_ring_address(to, where="--to")
+        require(
+            isinstance(address, UdpAddress),
+            f"--to: {to!r} is no UDP address; for a serial line use --pty",
+        )
+    faults = [parse_ring_fault(text) for text in fault or []]
+    scenario = load_scenario(
+        filename=scenario_file, name=scenario_name, text=scenario_text
+    )
+    override(
+        scenario,
+        sensors_per_ring=sensors_per_ring,
+        human_motion=human_motion,
+        seed=seed,
+    )
+    config = RtdeConfig(host=robot_host, port=robot_port, write=False)
+    config.check("robot")
+    sender = PtySender() if address is None else UdpSender(address)
+    try:
+        rings = SimulatedRings(
+            scenario=scenario,
+            clocks=[
+                DeviceClock(start=100.0 * i, drift=1e-6 * drift)
+                for i in range(len(RINGS))
+            ],
+            faults=faults,
+            send=sender.send,
+        )
+        with catch_stop() as stopped, RtdeClient(config) as robot:
+            print(
+                f"simulated rings, {scenario.sensors_per_ring} sensors each, "
+                f"frames to {sender.target}",
+                flush=True,
+            )
+            _Run(rings, robot, stopped, duration).run(
+                iterate_wake_times(scenario)
+            )
+        print(
+            "sent "
+            + ", ".join(f"{ring} {n}" for ring, n in rings.sent.items())
+            + " frames"
+        )
+    finally:
+        sender.close()
+    return 0
+
+
+@dc.dataclass
+class _Run:
+    """The loop, until it is stopped or the time is over."""
+
+    rings: SimulatedRings
+    robot: RtdeClient
+    stopped: list
+    duration: float
+    problem: str = ""
+
+    def run(self, wake_times) -> None:
+        while self.robot.get_report().sequence < 0:
+            if self.stopped:
+                return
+            self._tell()
+            self.robot.wait_for_report(after=-1, timeout=0.2)
+        start = time.monotonic()
+        for wake_time in wake_times:
+            if self.duration and wake_time > self.duration:
+                return
+            # No longer than a period, so a signal need not interrupt it.
+            time.sleep(max(start + wake_time - time.monotonic(), 0.0))
+            if self.stopped:
+                return
+            self._tell()
+            self.rings.advance(
+                wake_time, self.robot.get_report(), start + wake_time
+            )
+
+    def _tell(self):
+        """Says once what is wrong with the robot, and when it is not."""
+        problem = self.robot.get_status().problem
+        if problem not in (self.problem, "connecting"):
+            _console.print(f"robot: {problem or 'reports'}")
+            self.problem = problem

@@ -1,0 +1,93 @@
+import unittest
+
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tofssm_drake.errors import UserError
+import tofssm_drake.hardware.ring_address as mut
+
+
+class TestParseRingAddress(unittest.TestCase):
+    def test_udp(self):
+        address = mut.parse_ring_address("udp://127.0.0.1:5005")
+        self.assertEqual(
+            address,
+            mut.UdpAddress(host="127.0.0.1", port=5005, senders=("127.0.0.1",)),
+        )
+        self.assertEqual(str(address), "udp://127.0.0.1:5005")
+        self.assertEqual(
+            mut.parse_ring_address("udp://localhost:5005"), address
+        )
+
+    def test_named_senders(self):
+        address = mut.parse_ring_address(
+            "udp://192.168.1.10:5005?from=192.168.1.20,192.168.1.21"
+        )
+        self.assertEqual(address.host, "192.168.1.10")
+        self.assertEqual(address.senders, ("192.168.1.20", "192.168.1.21"))
+
+    def test_serial(self):
+        self.assertEqual(
+            mut.parse_ring_address("serial:///dev/ttyACM0"),
+            mut.SerialAddress(path="/dev/ttyACM0", baud=921600),
+        )
+        address = mut.parse_ring_address("serial:///dev/ttyUSB1?baud=115200")
+        self.assertEqual(address.baud, 115200)
+        self.assertEqual(str(address), "serial:///dev/ttyUSB1")
+
+    def test_every_interface_only_on_request(self):
+        text = "udp://0.0.0.0:5005?from=10.0.0.2"
+        with self.assertRaisesRegex(UserError, "--allow-remote"):
+            mut.parse_ring_address(text)
+        address = mut.parse_ring_address(text, allow_remote=True)
+        self.assertEqual(address.senders, ("10.0.0.2",))
+        with self.assertRaisesRegex(UserError, "who sends"):
+            mut.parse_ring_address("udp://0.0.0.0:5005", allow_remote=True)
+
+    def test_tells_what_is_wrong_in_one_line(self):
+        for text, reason in (
+            ("", "no address"),
+            ("127.0.0.1:5005", "no address"),
+            ("tcp://127.0.0.1:5005", "no address"),
+            ("udp://127.0.0.1:5005#x", "no address"),
+            ("udp://127.0.0.1", "no port"),
+            ("udp://127.0.0.1:0", "no port"),
+            ("udp://127.0.0.1:70000", "no address"),
+            ("udp://127.0.0.1:x", "no address"),
+            ("udp://127.0.0.1:5005/rings", "no port"),
+            ("udp://:5005", "IPv4"),
+            ("udp://ring.local:5005", "'ring.local' is no IPv4"),
+            ("udp://[::1]:5005", "IPv4"),
+            ("udp://me@127.0.0.1:5005", "no user"),
+            ("udp://224.0.0.1:5005", "group"),
+            ("udp://127.0.0.1:5005?from=", "IPv4"),
+            ("udp://127.0.0.1:5005?from=1.2.3.4&from=1.2.3.5", "twice"),
+            ("udp://127.0.0.1:5005?baud=9600", "'baud' is unknown"),
+            ("udp://127.0.0.1:5005?x", "no address"),
+            ("serial://dev/ttyACM0", "no device"),
+            ("serial:///", "no device"),
+            ("serial:///dev/ttyACM0?baud=0", "baud '0'"),
+            ("serial:///dev/ttyACM0?baud=fast", "baud 'fast'"),
+            ("serial:///dev/ttyACM0?baud=-9600", "baud"),
+            ("serial:///dev/ttyACM0?parity=n", "'parity' is unknown"),
+        ):
+            with self.subTest(text=text):
+                with self.assertRaises(UserError) as caught:
+                    mut.parse_ring_address(text, where="--to")
+                message = str(caught.exception)
+                self.assertTrue(message.startswith("--to: "), message)
+                self.assertIn(reason, message)
+                self.assertNotIn("\n", message)
+
+    @given(st.binary(max_size=40))
+    def test_any_text_is_an_address_or_a_mistake(self, data):
+        text = data.decode("latin-1")
+        for prefix in ("", "udp://", "udp://1.2.3.4:5?", "serial:///"):
+            try:
+                mut.parse_ring_address(prefix + text)
+            except UserError:
+                pass
+
+
+if __name__ == "__main__":
+    unittest.main()

@@ -1,0 +1,266 @@
+"""The binary frame in which a ring sends its samples: bytes and nothing else.
+
+One frame holds one scan of one ring. A datagram carries it as it is; a serial
+line carries it in COBS (consistent overhead byte stuffing) with a zero byte
+after it, so that a reader finds the next frame after any damage. All numbers
+are little-endian; docs/ring_link.md is the specification.
+
+| offset   | size | field                                                   |
+|----------|------|---------------------------------------------------------|
+| 0        | 2    | magic "TR"                                              |
+| 2        | 1    | version, 1                                              |
+| 3        | 1    | ring: 0 base, 1 elbow, 2 tool                           |
+| 4        | 1    | n, number of sensors: 8 or 16                           |
+| 5        | 1    | flags                                                   |
+| 6        | 2    | sequence of the ring, wraps                             |
+| 8        | 4    | device time at the end of the scan, us, wraps           |
+| 12       | 4 n  | per sensor: mm (2), range status (1), age in ms (1)     |
+| 12 + 4 n | 2    | CRC-16/CCITT-FALSE of all bytes before                  |
+"""
+
+import binascii
+import dataclasses as dc
+import struct
+
+import numpy as np
+
+SENSOR_COUNTS = (8, 16)
+
+FLAG_RESTARTED = 0x01
+"""The device has started anew since its last frame."""
+FLAG_ODD = 0x02
+"""The odd sensors' turn, where even and odd ones take turns."""
+FLAG_BUS_ERROR = 0x04
+"""A sensor did not answer on the I2C bus."""
+FLAG_SELF_TEST = 0x80
+"""Numbers that the device made up: no measurement."""
+_KNOWN_FLAGS = FLAG_RESTARTED | FLAG_ODD | FLAG_BUS_ERROR | FLAG_SELF_TEST
+
+SEQUENCE_BITS = 16
+TIME_BITS = 32
+
+_HEADER = struct.Struct("<2sBBBBHI")
+_CRC = struct.Struct("<H")
+_SAMPLE = np.dtype([("mm", "<u2"), ("status", "u1"), ("age", "u1")])
+_MAGIC = b"TR"
+_VERSION = 1
+
+
+def calc_frame_size(sensors: int) -> int:
+    """Returns the bytes of a frame of n sensors, without COBS."""
+    return _HEADER.size + _SAMPLE.itemsize * sensors + _CRC.size
+
+
+# A block of COBS is longer than a frame: one byte more, and the delimiter is
+# not counted.
+_LONGEST_PIECE = calc_frame_size(max(SENSOR_COUNTS)) + 1
+
+
+class FrameError(ValueError):
+    """Bytes that are no frame.
+
+    Attributes:
+        kind: What is wrong: "cobs", "length", "magic", "version", "flags" or
+            "crc".
+    """
+
+    def __init__(self, kind: str):
+        super().__init__(f"no ring frame: wrong {kind}")
+        self.kind = kind
+
+
+@dc.dataclass(frozen=True, eq=False, kw_only=True)
+class RingFrame:
+    """One scan of one ring as it travels; n sensors."""
+
+    ring: int
+    """Number of the ring."""
+    flags: int = 0
+    """FLAG_... bits."""
+    sequence: int
+    """Counts the ring's scans modulo 2^16."""
+    time_us: int
+    """Device's time at the end of the scan, microseconds modulo 2^32."""
+    mm: np.ndarray
+    """Measured distances, mm, (n,), uint16."""
+    status: np.ndarray
+    """Range status of each sensor (ST API numbers), (n,), uint8."""
+    age_ms: np.ndarray
+    """From the end of each sensor's integration to `time_us`, ms, (n,), uint8;
+    255: that or more."""
+
+
+def calc_crc(data: bytes) -> int:
+    """Returns CRC-16/CCITT-FALSE: polynomial 0x1021, start 0xFFFF."""
+    return binascii.crc_hqx(data, 0xFFFF)
+
+
+def encode_frame(frame: RingFrame) -> bytes:
+    """Returns the bytes of a frame, without COBS.
+
+    Raises:
+        ValueError: A field does not fit into its bytes, or the number of
+            sensors is not one of SENSOR_COUNTS.
+    """
+    n = len(frame.mm)
+    if n not in SENSOR_COUNTS:
+        raise ValueError(f"frame of {n} sensors; use one of {SENSOR_COUNTS}")
+    if frame.flags & ~_KNOWN_FLAGS:
+        raise ValueError(f"flags 0x{frame.flags:02x} are not all known")
+    samples = np.empty(n, _SAMPLE)
+    for name, values in (
+        ("mm", frame.mm),
+        ("status", frame.status),
+        ("age", frame.age_ms),
+    ):
+        values = np.asarray(values)
+        limit = np.iinfo(_SAMPLE[name]).max
+        if (
+            values.shape != (n,)
+            or not ((values >= 0) & (values <= limit)).all()
+        ):
+            raise ValueError(f"{name}: needs {n} numbers from 0 to {limit}")
+        samples[name] = values
+    try:
+        header = _HEADER.pack(
+            _MAGIC,
+            _VERSION,
+            frame.ring,
+            n,
+            frame.flags,
+            frame.sequence,
+            frame.time_us,
+        )
+    except struct.error as error:
+        raise ValueError(f"frame header: {error}") from None
+    data = header + samples.tobytes()
+    return data + _CRC.pack(calc_crc(data))
+
+
+def decode_frame(data: bytes) -> RingFrame:
+    """Returns the frame that the bytes are, all of them.
+
+    Raises:
+        FrameError: They are none.
+    """
+    size = len(data)
+    if size < _HEADER.size:
+        raise FrameError("length")
+    magic, version, ring, n, flags, sequence, time_us = _HEADER.unpack_from(
+        data
+    )
+    if magic != _MAGIC:
+        raise FrameError("magic")
+    if version != _VERSION:
+        raise FrameError("version")
+    if n not in SENSOR_COUNTS or size != calc_frame_size(n):
+        raise FrameError("length")
+    (crc,) = _CRC.unpack_from(data, size - _CRC.size)
+    if crc != calc_crc(data[: -_CRC.size]):
+        raise FrameError("crc")
+    if flags & ~_KNOWN_FLAGS:
+        raise FrameError("flags")
+    samples = np.frombuffer(data, _SAMPLE, n, _HEADER.size)
+    return RingFrame(
+        ring=ring,
+        flags=flags,
+        sequence=sequence,
+        time_us=time_us,
+        mm=samples["mm"],
+        status=samples["status"],
+        age_ms=samples["age"],
+    )
+
+
+def encode_cobs(data: bytes) -> bytes:
+    """Returns bytes without zeros that stand for any bytes, by COBS.
+
+    Each zero is replaced by the distance to the next one; a run of 254 bytes
+    without a zero takes one byte more.
+    """
+    result = bytearray()
+    blocks = data.split(b"\0")
+    for i, block in enumerate(blocks):
+        while len(block) > 254 or (len(block) == 254 and i + 1 < len(blocks)):
+            result.append(255)
+            result += block[:254]
+            block = block[254:]
+        result.append(len(block) + 1)
+        result += block
+    return bytes(result)
+
+
+def decode_cobs(data: bytes) -> bytes:
+    """Returns what `encode_cobs` was given.
+
+    Raises:
+        FrameError: The bytes are no COBS.
+    """
+    result = bytearray()
+    size = len(data)
+    i = 0
+    while i < size:
+        code = data[i]
+        end = i + code
+        if code == 0 or end > size or 0 in data[i + 1 : end]:
+            raise FrameError("cobs")
+        result += data[i + 1 : end]
+        i = end
+        if code < 255 and i < size:
+            result.append(0)
+    return bytes(result)
+
+
+def encode_serial(frame: RingFrame) -> bytes:
+    """Returns what goes over a serial line for a frame."""
+    return encode_cobs(encode_frame(frame)) + b"\0"
+
+
+class FrameStream:
+    """Finds the frames in the bytes of a serial line, in whatever pieces.
+
+    A damaged frame is dropped and counted; the next delimiter is where it
+    goes on. The memory that it takes is bounded whatever comes.
+
+    Attributes:
+        errors: How many pieces were no frame, by `FrameError.kind`. What
+            comes before the first delimiter is not counted: a reader may
+            start in the middle of a frame.
+    """
+
+    def __init__(self):
+        self.errors: dict[str, int] = {}
+        self._rest = b""
+        self._is_first = True
+
+    def push(self, data: bytes) -> list[RingFrame]:
+        """Returns the frames that these bytes complete, oldest first."""
+        *pieces, rest = (self._rest + data).split(b"\0")
+        # Too long a piece stays too long, however long it gets.
+        self._rest = rest[: _LONGEST_PIECE + 1]
+        frames = []
+        for piece in pieces:
+            is_first, self._is_first = self._is_first, False
+            if not piece:
+                continue
+            try:
+                if len(piece) > _LONGEST_PIECE:
+                    raise FrameError("length")
+                frames.append(decode_frame(decode_cobs(piece)))
+            except FrameError as error:
+                if not is_first:
+                    count = self.errors.get(error.kind, 0)
+                    self.errors[error.kind] = count + 1
+        return frames
+
+
+def unwrap(value: int, near: int, bits: int) -> int:
+    """Returns the number nearest to another one with the given low bits.
+
+    Args:
+        value: The low bits, from a counter that wraps.
+        near: A number that is known in full.
+        bits: How many bits the counter has.
+    """
+    half = 1 << (bits - 1)
+    return near + (value - near + half) % (2 * half) - half

@@ -1,0 +1,451 @@
+"""The connection to real rings: sockets, serial lines, and one thread.
+
+The thread reads whatever comes, as soon as it comes, and keeps the newest
+scan of each ring. It never raises into its user: what goes wrong is told in
+`RingLinkStatus`, no new scans come, and the monitor's deadline stops the
+robot.
+"""
+
+from collections.abc import Callable, Sequence
+import dataclasses as dc
+import errno
+import os
+import selectors
+import socket
+import threading
+import time
+from typing import Protocol
+
+import serial
+
+from tofssm_drake.errors import UserError
+from tofssm_drake.hardware.ring_address import (
+    RingAddress,
+    SerialAddress,
+    UdpAddress,
+)
+from tofssm_drake.hardware.ring_receiver import RingCounts, RingDecoder
+from tofssm_drake.messages import RingScan
+
+Tap = Callable[[float, str, bytes], None]
+"""Called with the arrival time, s, the source and the bytes of whatever comes
+from where it may come, before it is decoded; in the reader's thread."""
+
+_REOPEN_PERIOD = 0.5
+_LONGEST_READ = 4096
+
+
+@dc.dataclass(frozen=True, kw_only=True)
+class RingLinkStatus:
+    """How the link does; never changes after it was made."""
+
+    source: str
+    """Where the frames come from."""
+    error: str = ""
+    """Why nothing comes; empty: nothing is known to be wrong."""
+    counts: dict[str, RingCounts]
+    """What happened to each ring's frames."""
+    corrupt: int = 0
+    """Damaged frames."""
+    foreign: int = 0
+    """Datagrams of senders that are not named."""
+    unknown: int = 0
+    """Whole frames of rings that are not ours."""
+    arrival: dict[str, float]
+    """Host's time of each ring's newest scan, s; -inf: none yet."""
+
+    def describe(self, now: float) -> str:
+        """Says in one line how old the scans are and what went wrong.
+
+        Args:
+            now: Host's time, s.
+        """
+        ages = []
+        for ring, arrival in self.arrival.items():
+            age = 1e3 * (now - arrival)
+            ages.append(f"{ring} {age:.0f} ms" if age < 1e5 else f"{ring} -")
+        faults = {"corrupt": self.corrupt, "foreign": self.foreign}
+        faults["unknown"] = self.unknown
+        for name in ("lost", "duplicated", "out_of_order", "restarts", "late"):
+            faults[name] = sum(getattr(c, name) for c in self.counts.values())
+        faults["wrong_size"] = sum(c.wrong_size for c in self.counts.values())
+        faults["frozen"] = sum(c.frozen for c in self.counts.values())
+        told = [f"{n} {name}" for name, n in faults.items() if n]
+        if self.error:
+            told.insert(0, self.error)
+        return "; ".join([", ".join(ages), *told])
+
+
+class RingConnection(Protocol):
+    """What the systems need of a link."""
+
+    def get_scans(self) -> tuple[RingScan, ...]:
+        """Returns the newest scan of each ring, on the host's clock."""
+
+    def get_status(self) -> RingLinkStatus:
+        """Returns how the link does."""
+
+    def wait_for_scans(self, timeout: float) -> bool:
+        """Returns whether each ring delivered a scan within so many s."""
+
+    def close(self) -> None:
+        """Ends the link; may be called again."""
+
+
+def make_status(
+    decoder: RingDecoder, *, source: str, foreign: int = 0, error: str = ""
+) -> RingLinkStatus:
+    """Returns the status of a link that decodes with this decoder."""
+    counts = decoder.counts
+    return RingLinkStatus(
+        source=source,
+        error=error,
+        counts=counts,
+        corrupt=sum(decoder.corrupt.values()),
+        foreign=foreign,
+        unknown=decoder.unknown,
+        arrival={
+            ring: scan.time
+            for ring, scan in zip(counts, decoder.scans, strict=True)
+        },
+    )
+
+
+def explain_silence(status: RingLinkStatus) -> str:
+    """Says in one line which rings never delivered, and what came instead."""
+    missing = [
+        ring for ring, counts in status.counts.items() if counts.delivered == 0
+    ]
+    came = ", ".join(
+        f"{ring} {counts.received}"
+        + (f" ({counts.wrong_size} of another size)" * bool(counts.wrong_size))
+        for ring, counts in status.counts.items()
+    )
+    text = (
+        f"rings: no scan of {', '.join(missing)} from {status.source}; frames "
+        f"received: {came}; {status.corrupt} corrupt, {status.foreign} "
+        f"foreign, {status.unknown} of unknown rings"
+    )
+    return f"{text}; {status.error}" if status.error else text
+
+
+class UdpTransport:
+    """A socket that is bound to one interface.
+
+    Attributes:
+        foreign: Datagrams of senders that are not named; dropped.
+        port: The port that is bound, also where 0 was asked for.
+    """
+
+    def __init__(self, address: UdpAddress):
+        """Binds the socket.
+
+        Raises:
+            UserError: It can not be bound.
+        """
+        self.source = str(address)
+        self.foreign = 0
+        self._senders = frozenset(address.senders)
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        try:
+            self._socket.setblocking(False)
+            self._socket.bind((address.host, address.port))
+        except OSError as error:
+            self._socket.close()
+            raise UserError(
+                f"{self.source}: can not listen there: {error.strerror}"
+            ) from None
+        self.port = self._socket.getsockname()[1]
+
+    def fileno(self) -> int:
+        """Returns what a selector waits for."""
+        return self._socket.fileno()
+
+    def receive(self) -> list[bytes]:
+        """Returns the datagrams of our senders that wait, oldest first."""
+        datagrams = []
+        # Bounded, so that a flood of one sender can not starve the others.
+        for _ in range(64):
+            try:
+                data, sender = self._socket.recvfrom(_LONGEST_READ)
+            except BlockingIOError:
+                break
+            if sender[0] in self._senders:
+                datagrams.append(data)
+            else:
+                self.foreign += 1
+        return datagrams
+
+    def feed(self, decoder: RingDecoder, data: bytes, arrival: float) -> bool:
+        """Decodes what `receive` returned; returns whether a scan came."""
+        return decoder.receive_datagram(data, arrival)
+
+    def close(self) -> None:
+        """Closes the socket."""
+        self._socket.close()
+
+
+class SerialTransport:
+    """An open serial line."""
+
+    foreign = 0
+
+    def __init__(self, address: SerialAddress):
+        """Opens the line and throws away what lies in its buffer.
+
+        Raises:
+            UserError: It can not be opened.
+        """
+        self.source = str(address)
+        try:
+            self._serial = serial.Serial(
+                address.path, address.baud, timeout=0, exclusive=True
+            )
+            self._serial.reset_input_buffer()
+        except (OSError, ValueError) as error:
+            number = getattr(error, "errno", None)
+            if number in (errno.EAGAIN, errno.EBUSY):
+                reason = "another program has it"
+            else:
+                reason = os.strerror(number) if number else str(error)
+            raise UserError(
+                f"{self.source}: can not open it: {reason}"
+            ) from None
+
+    def fileno(self) -> int:
+        """Returns what a selector waits for."""
+        return self._serial.fileno()
+
+    def receive(self) -> list[bytes]:
+        """Returns the bytes that wait.
+
+        Raises:
+            OSError: The line is gone.
+        """
+        data = self._serial.read(_LONGEST_READ)
+        return [data] if data else []
+
+    def feed(self, decoder: RingDecoder, data: bytes, arrival: float) -> bool:
+        """Decodes what `receive` returned; returns whether a scan came."""
+        return decoder.receive_serial(self.source, data, arrival)
+
+    def close(self) -> None:
+        """Closes the line."""
+        self._serial.close()
+
+
+def open_transport(address: RingAddress) -> UdpTransport | SerialTransport:
+    """Opens what an address names.
+
+    Raises:
+        UserError: It can not be opened.
+    """
+    if isinstance(address, UdpAddress):
+        return UdpTransport(address)
+    return SerialTransport(address)
+
+
+class RingLink:
+    """Receives frames over UDP and serial lines in one thread.
+
+    A context manager: the thread and what it reads end with it. A serial line
+    that breaks is opened again, and its rings start anew.
+    """
+
+    def __init__(
+        self,
+        *,
+        addresses: Sequence[RingAddress],
+        decoder: RingDecoder,
+        tap: Tap | None = None,
+    ):
+        """Opens all addresses and starts to read.
+
+        Args:
+            addresses: Where the rings' frames come from.
+            decoder: Of this link alone.
+            tap: Sees all that comes, e.g. to record it.
+
+        Raises:
+            UserError: An address can not be opened.
+        """
+        self._decoder = decoder
+        self._tap = tap
+        self._changed = threading.Condition()
+        self._error = ""
+        self._closing = False
+        self._scans = decoder.scans
+        self._broken: dict[str, RingAddress] = {}
+        self._addresses = {str(address): address for address in addresses}
+        self._transports: dict[str, UdpTransport | SerialTransport] = {}
+        self._foreign = 0
+        self._wake, self._wake_end = socket.socketpair()
+        self._selector = selectors.DefaultSelector()
+        self._selector.register(self._wake_end, selectors.EVENT_READ)
+        try:
+            for source, address in self._addresses.items():
+                self._open(source, address)
+        except UserError:
+            self._close_all()
+            self._wake.close()
+            raise
+        self._thread = threading.Thread(
+            target=self._run, name="ring link", daemon=True
+        )
+        self._thread.start()
+
+    def __enter__(self) -> "RingLink":
+        return self
+
+    def __exit__(self, *exception) -> None:
+        self.close()
+
+    def get_scans(self) -> tuple[RingScan, ...]:
+        """Returns the newest scan of each ring, on the host's clock."""
+        return self._scans
+
+    def get_status(self) -> RingLinkStatus:
+        """Returns how the link does."""
+        with self._changed:
+            return make_status(
+                self._decoder,
+                source=", ".join(self._addresses),
+                foreign=self._foreign,
+                error=self._error,
+            )
+
+    def wait_for_scans(self, timeout: float) -> bool:
+        """Returns whether each ring delivered a scan within so many s."""
+        with self._changed:
+            return self._changed.wait_for(
+                lambda: all(scan.sequence >= 0 for scan in self._scans),
+                timeout,
+            )
+
+    def close(self) -> None:
+        """Ends the thread and closes everything; may be called again."""
+        self._closing = True
+        if self._thread.is_alive():
+            self._wake.send(b"\0")
+            self._thread.join()
+        self._wake.close()
+
+    def _open(self, source, address):
+        transport = open_transport(address)
+        self._transports[source] = transport
+        self._selector.register(transport, selectors.EVENT_READ, source)
+
+    def _run(self):
+        try:
+            reopen_time = 0.0
+            while not self._closing:
+                timeout = _REOPEN_PERIOD if self._broken else None
+                for key, _ in self._selector.select(timeout):
+                    if key.data is not None:
+                        self._read(key.data)
+                if self._broken and time.monotonic() >= reopen_time:
+                    self._reopen()
+                    reopen_time = time.monotonic() + _REOPEN_PERIOD
+        except Exception as error:
+            self._error = f"reader failed: {error!r}"
+        finally:
+            self._close_all()
+
+    def _read(self, source):
+        transport = self._transports[source]
+        try:
+            pieces = transport.receive()
+        except OSError as error:
+            self._break(source, str(error))
+            return
+        arrival = time.monotonic()
+        if self._tap is not None:
+            for data in pieces:
+                self._tap(arrival, source, data)
+        with self._changed:
+            is_new = False
+            for data in pieces:
+                is_new |= transport.feed(self._decoder, data, arrival)
+            self._foreign = sum(t.foreign for t in self._transports.values())
+            if is_new:
+                self._scans = self._decoder.scans
+                self._changed.notify_all()
+
+    def _break(self, source, reason):
+        transport = self._transports.pop(source)
+        self._selector.unregister(transport)
+        transport.close()
+        with self._changed:
+            self._decoder.reopen_serial(source)
+            self._broken[source] = self._addresses[source]
+            self._error = f"{source} is gone: {reason}"
+
+    def _reopen(self):
+        for source, address in list(self._broken.items()):
+            try:
+                self._open(source, address)
+            except UserError:
+                continue
+            with self._changed:
+                del self._broken[source]
+                if not self._broken:
+                    self._error = ""
+
+    def _close_all(self):
+        for transport in self._transports.values():
+            transport.close()
+        self._selector.close()
+        self._wake_end.close()
+
+
+class LoopbackRingLink:
+    """A link whose frames are handed in, for tests and for replay."""
+
+    def __init__(self, *, decoder: RingDecoder):
+        self._decoder = decoder
+
+    def put_datagram(self, data: bytes, arrival: float) -> bool:
+        """Takes a datagram that came at a host's time; s, does not fall."""
+        return self._decoder.receive_datagram(data, arrival)
+
+    def put_serial(self, source: str, data: bytes, arrival: float) -> bool:
+        """Takes bytes of a line that came at a host's time, likewise."""
+        return self._decoder.receive_serial(source, data, arrival)
+
+    def get_scans(self) -> tuple[RingScan, ...]:
+        """Returns the newest scan of each ring, on the host's clock."""
+        return self._decoder.scans
+
+    def get_status(self) -> RingLinkStatus:
+        """Returns how the link does."""
+        return make_status(self._decoder, source="loopback")
+
+    def wait_for_scans(self, timeout: float) -> bool:
+        """Returns whether each ring has delivered; nothing comes by waiting."""
+        return all(scan.sequence >= 0 for scan in self._decoder.scans)
+
+    def close(self) -> None:
+        """There is nothing to close."""
+
+
+class NullRingLink:
+    """No rings: no scan ever comes, which the monitor takes for a fault."""
+
+    def __init__(self, *, decoder: RingDecoder):
+        self._status = make_status(decoder, source="null")
+        self._scans = tuple(RingScan() for _ in self._status.counts)
+
+    def get_scans(self) -> tuple[RingScan, ...]:
+        """Returns an empty scan of each ring."""
+        return self._scans
+
+    def get_status(self) -> RingLinkStatus:
+        """Returns that nothing came."""
+        return self._status
+
+    def wait_for_scans(self, timeout: float) -> bool:
+        """Does not wait, and returns False."""
+        return False
+
+    def close(self) -> None:
+        """There is nothing to close."""

@@ -1,0 +1,418 @@
+"""From a ring's frames to the scans that the monitor takes.
+
+No clock, no socket: what comes out follows from the bytes and the times at
+which they came. So a recording of both gives the same scans again.
+"""
+
+from collections.abc import Sequence
+import dataclasses as dc
+
+import numpy as np
+
+from tofssm_drake.errors import require
+from tofssm_drake.hardware.ring_clock import (
+    ClockMap,
+    calc_earliness,
+    start_clock_map,
+    update_clock_map,
+)
+from tofssm_drake.hardware.ring_faults import (
+    count_repeats,
+    find_frozen_sensors,
+)
+from tofssm_drake.hardware.ring_frame import (
+    FLAG_RESTARTED,
+    FLAG_SELF_TEST,
+    SENSOR_COUNTS,
+    SEQUENCE_BITS,
+    TIME_BITS,
+    FrameError,
+    FrameStream,
+    RingFrame,
+    decode_frame,
+    unwrap,
+)
+from tofssm_drake.messages import RINGS, RingScan
+from tofssm_drake.sensing.vl53l1x import (
+    STATUS_NO_NEW_DATA,
+    STATUS_NONE,
+    check_range,
+)
+
+_SATURATED_AGE = 255
+
+# So many frames in a row from before the last one are a device that started
+# anew, and not datagrams that overtook each other.
+_OLD_FRAMES = 3
+
+
+@dc.dataclass(kw_only=True)
+class RingLinkConfig:
+    """How the frames of real rings are received."""
+
+    # Number in the frames of the rings base, elbow and tool.
+    ring_numbers: list[int] = dc.field(default_factory=lambda: [0, 1, 2])
+
+    # Greatest drift between a device's clock and the host's, s/s (*assumed*:
+    # two crystals of 100 ppm). The samples of a clock that is slower look
+    # ever older, which stops the robot.
+    max_drift: float = 200e-6
+
+    # From the end of a scan to the arrival of its frame, at least, s
+    # (*assumed*: 48 bytes at 921600 baud and a USB packet). It can not be
+    # measured; samples are taken for that much older than they look.
+    min_delay: float = 0.001
+
+    # A device must deliver this long before its scans count, s: its clock has
+    # to be known first, and what lay in a buffer must be through.
+    settle_time: float = 0.5
+
+    # After a silence of this length a device counts as started anew, s.
+    max_silence: float = 1.0
+
+    # A frame that comes this much before the fastest so far is a clock that
+    # jumped: the device counts as started anew, s.
+    max_earliness: float = 0.02
+
+    # A frame that comes this much after the fastest ones is counted as late,
+    # s. Only counted: its samples carry their true age.
+    late: float = 0.02
+
+    # A distance that is repeated so often to the last bit is a frozen sensor
+    # (*assumed*). Even with 0.75 mm of noise, 0.15 % of half a metre, two
+    # samples are equal with a probability of 0.35, and 25 in a row come once
+    # in some years with 24 sensors at 42 Hz. 0: noise is not expected, as of
+    # ideal sensors, and repetitions are fine.
+    frozen_samples: int = 25
+
+    def check(self, where: str) -> None:
+        """Raises UserError unless every setting is within its limits."""
+        require(
+            len(self.ring_numbers) == len(RINGS) == len(set(self.ring_numbers))
+            and all(
+                isinstance(i, int) and 0 <= i <= 255 for i in self.ring_numbers
+            ),
+            f"{where}.ring_numbers: {self.ring_numbers} must be three "
+            "different numbers from 0 to 255, of the rings base, elbow and "
+            "tool",
+        )
+        for name, low, high in (
+            ("max_drift", 0.0, 0.01),
+            ("min_delay", 0.0, 0.1),
+            ("settle_time", 0.0, 60.0),
+            ("max_silence", 0.05, 60.0),
+            ("max_earliness", 0.0, 1.0),
+            ("late", 0.0, 10.0),
+            ("frozen_samples", 0, 1000),
+        ):
+            check_range(where, name, getattr(self, name), low, high)
+
+
+@dc.dataclass(kw_only=True)
+class RingCounts:
+    """What happened to the frames of one ring."""
+
+    received: int = 0
+    """Frames of this ring that were whole."""
+    delivered: int = 0
+    """Of those, such that became scans."""
+    lost: int = 0
+    """Missing in the sequence."""
+    duplicated: int = 0
+    """The same sequence and time once more."""
+    out_of_order: int = 0
+    """From before the last one."""
+    restarts: int = 0
+    """The device, its clock or the link began anew."""
+    late: int = 0
+    """See RingLinkConfig.late."""
+    wrong_size: int = 0
+    """Of another number of sensors than the ring has."""
+    frozen: int = 0
+    """Scans with a frozen sensor."""
+    self_test: int = 0
+    """Made-up numbers: delivered as faulted."""
+
+
+class RingReceiver:
+    """Turns the frames of one ring into scans on the host's clock.
+
+    A frame becomes a scan or nothing. Nothing comes of one that is not newer
+    than the last, is of another number of sensors, or comes while the
+    device's clock is not known well enough; then the sequence stands still
+    and the monitor's deadline stops the robot. A frozen sensor or a made-up
+    number becomes a sample with status 255, which is a fault to the monitor.
+
+    Attributes:
+        counts: RingCounts so far.
+        scan: The newest scan; empty before the first.
+        clock: What is known of the device's clock; None: nothing.
+    """
+
+    def __init__(
+        self,
+        *,
+        config: RingLinkConfig,
+        num_sensors: int,
+        timing_budget: float,
+    ):
+        """Constructs the receiver.
+
+        Args:
+            config: Settings.
+            num_sensors: n of the ring.
+            timing_budget: Integration time of the sensors, s; the middle of
+                it is a sample's time.
+        """
+        self._config = config
+        self._num_sensors = num_sensors
+        self._half_budget = 0.5 * timing_budget
+        self.counts = RingCounts()
+        self.scan = RingScan()
+        self.clock: ClockMap | None = None
+        self._sequence = 0
+        self._time_us = 0
+        self._arrival = -np.inf
+        self._old_frames = 0
+        self._forget_samples()
+
+    def receive(self, frame: RingFrame, arrival: float) -> RingScan | None:
+        """Returns the scan that a frame gives, or None.
+
+        Args:
+            frame: Of this ring.
+            arrival: Host's monotonic time at which it came, s; does not fall.
+        """
+        self.counts.received += 1
+        if len(frame.mm) != self._num_sensors:
+            self.counts.wrong_size += 1
+            return None
+        if not self._follow(frame, arrival):
+            return None
+        self._arrival = arrival
+        self._old_frames = 0
+        is_frozen = self._watch_samples(frame)
+        if self.clock.lateness > self._config.late:
+            self.counts.late += 1
+        if arrival - self.clock.began < self._config.settle_time:
+            return None
+        self.counts.delivered += 1
+        self.scan = self._make_scan(frame, arrival, is_frozen)
+        return self.scan
+
+    def _follow(self, frame, arrival):
+        """Takes a frame's sequence and time; returns whether it is newer."""
+        sequence = unwrap(frame.sequence, self._sequence, SEQUENCE_BITS)
+        time_us = unwrap(frame.time_us, self._time_us, TIME_BITS)
+        device = 1e-6 * time_us
+        if self.clock is None:
+            return self._start_anew(frame, arrival, is_first=True)
+        if (
+            sequence == self._sequence
+            and time_us == self._time_us
+            and arrival - self._arrival < self._config.max_silence
+        ):
+            self.counts.duplicated += 1
+            return False
+        if (
+            frame.flags & FLAG_RESTARTED
+            or arrival - self._arrival > self._config.max_silence
+        ):
+            return self._start_anew(frame, arrival)
+        if sequence <= self._sequence or time_us <= self._time_us:
+            self.counts.out_of_order += 1
+            self._old_frames += 1
+            if self._old_frames < _OLD_FRAMES:
+                return False
+            return self._start_anew(frame, arrival)
+        earliness = calc_earliness(self.clock, device=device, host=arrival)
+        if earliness > self._config.max_earliness:
+            return self._start_anew(frame, arrival)
+        self.counts.lost += sequence - self._sequence - 1
+        self._sequence = sequence
+        self._time_us = time_us
+        self.clock = update_clock_map(
+            self.clock,
+            device=device,
+            host=arrival,
+            max_drift=self._config.max_drift,
+        )
+        return True
+
+    def _start_anew(self, frame, arrival, *, is_first=False):
+        if not is_first:
+            self.counts.restarts += 1
+        self._sequence = frame.sequence
+        self._time_us = frame.time_us
+        self.clock = start_clock_map(device=1e-6 * frame.time_us, host=arrival)
+        self._forget_samples()
+        return True
+
+    def _forget_samples(self):
+        n = self._num_sensors
+        # No sample has these numbers: the first one repeats nothing.
+        self._mm = np.full(n, -1)
+        self._status = np.full(n, STATUS_NONE, dtype=np.uint8)
+        self._repeats = np.zeros(n, dtype=int)
+
+    def _watch_samples(self, frame):
+        """Remembers the fresh samples; returns which sensors are frozen."""
+        self._repeats = count_repeats(
+            self._repeats,
+            before=(self._mm, self._status),
+            now=(frame.mm, frame.status),
+        )
+        is_fresh = frame.status != STATUS_NO_NEW_DATA
+        self._mm = np.where(is_fresh, frame.mm, self._mm)
+        self._status = np.where(is_fresh, frame.status, self._status)
+        return find_frozen_sensors(
+            self._repeats,
+            status=self._status,
+            frozen_samples=self._config.frozen_samples,
+        )
+
+    def _make_scan(self, frame, arrival, is_frozen):
+        status = frame.status.copy()
+        if is_frozen.any():
+            self.counts.frozen += 1
+            status[is_frozen] = STATUS_NONE
+        if frame.flags & FLAG_SELF_TEST:
+            self.counts.self_test += 1
+            status[:] = STATUS_NONE
+        end = self.clock.calc_host_time(1e-6 * self._time_us)
+        sensor_time = (
+            end
+            - self._config.min_delay
+            - 1e-3 * frame.age_ms
+            - self._half_budget
+        )
+        # How old it is can not be told any more.
+        sensor_time[frame.age_ms == _SATURATED_AGE] = -np.inf
+        return RingScan(
+            sequence=self.scan.sequence + 1,
+            time=arrival,
+            sensor_time=sensor_time,
+            distance=1e-3 * frame.mm,
+            status=status,
+        )
+
+
+class RingDecoder:
+    """Turns what comes over the wires into scans of all rings.
+
+    Attributes:
+        unknown: Whole frames of rings that are not ours.
+    """
+
+    def __init__(
+        self,
+        *,
+        config: RingLinkConfig,
+        num_sensors: int,
+        timing_budget: float,
+        name: Sequence[str] = RINGS,
+    ):
+        """Constructs the decoder.
+
+        Args:
+            config: Settings.
+            num_sensors: Of each ring.
+            timing_budget: Integration time of the sensors, s.
+            name: The rings, in the order of `config.ring_numbers`.
+
+        Raises:
+            UserError: A setting is out of range.
+        """
+        config.check("ring_link")
+        require(
+            num_sensors in SENSOR_COUNTS,
+            f"sensors_per_ring: {num_sensors} is not known to the ring link; "
+            f"use one of {', '.join(map(str, SENSOR_COUNTS))}",
+        )
+        self._receivers = {
+            number: (
+                ring,
+                RingReceiver(
+                    config=config,
+                    num_sensors=num_sensors,
+                    timing_budget=timing_budget,
+                ),
+            )
+            for ring, number in zip(name, config.ring_numbers, strict=True)
+        }
+        self._streams: dict[str, FrameStream] = {}
+        self._closed_errors: dict[str, int] = {}
+        self._datagram_errors: dict[str, int] = {}
+        self.unknown = 0
+
+    def receive_datagram(self, data: bytes, arrival: float) -> bool:
+        """Takes one datagram; returns whether it gave a scan.
+
+        Args:
+            data: The datagram.
+            arrival: Host's monotonic time, s; does not fall.
+        """
+        try:
+            frame = decode_frame(data)
+        except FrameError as error:
+            count = self._datagram_errors.get(error.kind, 0)
+            self._datagram_errors[error.kind] = count + 1
+            return False
+        return self._receive(frame, arrival)
+
+    def receive_serial(self, source: str, data: bytes, arrival: float) -> bool:
+        """Takes bytes of a serial line; returns whether they gave a scan.
+
+        Args:
+            source: Tells the lines apart.
+            data: Any piece of what comes.
+            arrival: Host's monotonic time, s; does not fall.
+        """
+        stream = self._streams.setdefault(source, FrameStream())
+        # All of them, though only the last is of use: the counts go on.
+        given = [self._receive(frame, arrival) for frame in stream.push(data)]
+        return any(given)
+
+    def reopen_serial(self, source: str) -> None:
+        """Forgets the unfinished frame of a line that was opened anew."""
+        stream = self._streams.pop(source, None)
+        if stream is not None:
+            for kind, count in stream.errors.items():
+                count += self._closed_errors.get(kind, 0)
+                self._closed_errors[kind] = count
+
+    def _receive(self, frame, arrival):
+        if frame.ring not in self._receivers:
+            self.unknown += 1
+            return False
+        _, receiver = self._receivers[frame.ring]
+        return receiver.receive(frame, arrival) is not None
+
+    @property
+    def corrupt(self) -> dict[str, int]:
+        """Damaged frames by `FrameError.kind`."""
+        total = dict(self._closed_errors)
+        for errors in (
+            self._datagram_errors,
+            *(stream.errors for stream in self._streams.values()),
+        ):
+            for kind, count in errors.items():
+                total[kind] = total.get(kind, 0) + count
+        return total
+
+    @property
+    def scans(self) -> tuple[RingScan, ...]:
+        """The newest scan of each ring, on the host's clock."""
+        return tuple(r.scan for _, r in self._receivers.values())
+
+    @property
+    def counts(self) -> dict[str, RingCounts]:
+        """What happened to the frames of each ring so far."""
+        return {
+            ring: dc.replace(r.counts) for ring, r in self._receivers.values()
+        }
+
+    @property
+    def clocks(self) -> dict[str, ClockMap | None]:
+        """What is known of each device's clock."""
+        return {ring: r.clock for ring, r in self._receivers.values()}

@@ -1,0 +1,161 @@
+"""Real rings in a Diagram: who owns the link, and who takes its scans."""
+
+from collections.abc import Sequence
+
+from pydrake.common.value import Value
+from pydrake.systems.framework import (
+    Context,
+    EventStatus,
+    State,
+)
+
+from tofssm_drake.errors import UserError, require
+from tofssm_drake.hardware.ring_link import RingConnection, explain_silence
+from tofssm_drake.leaf_system import LeafSystem
+from tofssm_drake.messages import RINGS, RingScan
+
+
+def shift_scan(scan: RingScan, offset: float) -> RingScan:
+    """Returns a scan on a clock that shows so much more, s."""
+    if offset == 0.0 or scan.sequence < 0:
+        return scan
+    return RingScan(
+        sequence=scan.sequence,
+        time=scan.time + offset,
+        sensor_time=scan.sensor_time + offset,
+        distance=scan.distance,
+        status=scan.status,
+    )
+
+
+class RingInterfaceSystem(LeafSystem):
+    """Owns the link to the rings.
+
+    .. pydrake_system::
+
+        name: RingInterfaceSystem
+
+    It has neither ports nor state nor events: the link receives in a thread
+    of its own. Put it into the Diagram, so that the link lives as long, and
+    give `connection` to the subscriber.
+
+    Args:
+        connection: A `RingLink`, or one without rings.
+    """
+
+    def __init__(self, *, connection: RingConnection):
+        super().__init__()
+        self._connection = connection
+
+    @property
+    def connection(self) -> RingConnection:
+        """What it owns."""
+        return self._connection
+
+    def DoGetGraphvizFragment(self, params):
+        """Adds to the system's picture where the frames come from."""
+        source = self._connection.get_status().source
+        params.header_lines += [f"ring_url={source}"]
+        return super().DoGetGraphvizFragment(params)
+
+
+class RingSubscriberSystem(LeafSystem):
+    """Gives the scans of real rings as TofRings gives those of simulated ones.
+
+    .. pydrake_system::
+
+        name: RingSubscriberSystem
+        input_ports:
+        - clock_offset
+        output_ports:
+        - scan_base
+        - scan_elbow
+        - scan_tool
+
+    At each step the newest scan of each ring moves from the link into the
+    state, and nothing else ever reads the link: what the ports show follows
+    from the Context. Initialization waits until every ring has delivered.
+
+    `clock_offset` (vector, 1) is what the Diagram's clock shows more than the
+    host's monotonic one, s; unconnected it is 0. The scans' times are on the
+    Diagram's clock.
+
+    A port holds an empty scan (sequence -1) before the first one.
+    """
+
+    def __init__(
+        self,
+        *,
+        connection: RingConnection,
+        wait_timeout: float = 10.0,
+        name: Sequence[str] = RINGS,
+    ):
+        """Constructs the system.
+
+        Args:
+            connection: Where scans come from.
+            wait_timeout: Longest wait for the first scans at initialization,
+                s; 0 does not wait.
+            name: The rings, in the order of the link's scans.
+
+        Raises:
+            UserError: The time is out of range.
+            ValueError: The link has another number of rings.
+        """
+        super().__init__()
+        require(
+            0.0 <= wait_timeout <= 3600.0,
+            f"wait_timeout: must be from 0 to 3600 s, got {wait_timeout!r}",
+        )
+        self._connection = connection
+        self._wait_timeout = wait_timeout
+        num_rings = len(self._connection.get_scans())
+        if num_rings != len(name):
+            raise ValueError(f"link of {num_rings} rings, not of {len(name)}")
+        self._clock_offset = self.DeclareVectorInputPort("clock_offset", 1)
+        self._scans = [
+            self.DeclareAbstractState(Value(RingScan())) for _ in name
+        ]
+        for ring, index in zip(name, self._scans, strict=True):
+            self.DeclareAbstractOutputPort(
+                f"scan_{ring}",
+                Value(RingScan()).Clone,
+                lambda context, output, index=index: output.set_value(
+                    self._calc_scan(context, index)
+                ),
+                prerequisites_of_calc={
+                    self.abstract_state_ticket(index),
+                    self._clock_offset.ticket(),
+                },
+            )
+        self.DeclareInitializationUnrestrictedUpdateEvent(self._initialize)
+        self.DeclarePerStepUnrestrictedUpdateEvent(self._take_scans)
+        self.DeclareForcedUnrestrictedUpdateEvent(self._take_scans)
+
+    def _calc_scan(self, context: Context, index) -> RingScan:
+        scan = context.get_abstract_state(index).get_value()
+        if not self._clock_offset.HasValue(context):
+            return scan
+        return shift_scan(scan, self._clock_offset.Eval(context)[0])
+
+    def _initialize(self, context: Context, state: State):
+        """Waits for the rings.
+
+        Raises:
+            UserError: Some of them did not deliver.
+        """
+        if self._wait_timeout > 0.0:
+            if not self._connection.wait_for_scans(self._wait_timeout):
+                raise UserError(explain_silence(self._connection.get_status()))
+        return self._take_scans(context, state)
+
+    def _take_scans(self, context: Context, state: State):
+        status = EventStatus.DidNothing()
+        for index, scan in zip(
+            self._scans, self._connection.get_scans(), strict=True
+        ):
+            value = state.get_mutable_abstract_state(index)
+            if scan is not value.get_value():
+                value.set_value(scan)
+                status = EventStatus.Succeeded()
+        return status
