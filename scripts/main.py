@@ -14,6 +14,7 @@ def make_app() -> typer.Typer:
     They are imported here and not above: it takes a second, in which Ctrl-C
     has to work as well.
     """
+    from tofssm_drake.scripts.experiments import experiments
     from tofssm_drake.scripts.simulate import simulate
 
     app = typer.Typer(
@@ -25,8 +26,7 @@ def make_app() -> typer.Typer:
         pretty_exceptions_enable=False,
     )
     app.command()(simulate)
-    # Keeps `simulate` a subcommand while it is the only one.
-    app.callback()(lambda: None)
+    app.command()(experiments)
     return app
 
 
