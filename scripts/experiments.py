@@ -2,6 +2,7 @@
 
 import hashlib
 from pathlib import Path
+import shlex
 import sys
 import time
 from typing import Annotated
@@ -38,6 +39,7 @@ from tofssm_drake.evaluation.campaign import (
     store_run,
     write_results,
 )
+from tofssm_drake.evaluation.campaign_report import write_campaign_report
 from tofssm_drake.human.bvh import BvhRecording, make_bvh_motion
 from tofssm_drake.scripts.cluster import call_all, connect
 from tofssm_drake.ssm.config import CONFIGURATIONS
@@ -134,7 +136,15 @@ def experiments(
             )
     results = make_results(plan, read_rows(out, plan))
     write_results(out, results)
-    return tell(out, failures)
+    report = write_campaign_report(
+        out,
+        plan=plan,
+        rows=results,
+        parameters=list_parameters(scenario, plan),
+        command=shlex.join(["tofssm", *sys.argv[1:]]),
+        failures=failures,
+    )
+    return tell(report, failures)
 
 
 def read_motions(folder: Path | None, scenario: Scenario) -> dict[str, bytes]:
@@ -227,9 +237,38 @@ def make_progress_bar() -> Progress:
     )
 
 
-def tell(out: Path, failures: dict[str, str]) -> int:
-    """Prints where the results are; returns the exit code."""
+def list_parameters(
+    scenario: Scenario, plan: Plan
+) -> list[tuple[str, dict[str, str]]]:
+    """Returns the paper's table of parameters, as run.
+
+    Returns:
+        Rows (name, value by sensing).
+    """
+    laws = {
+        cell.sensing: make_run_scenario(scenario, PlannedRun(cell=cell)).ssm
+        for cell in plan.cells
+    }
+
+    def row(name, text):
+        return name, {s: text(ssm) for s, ssm in laws.items()}
+
+    return [
+        row(
+            "T_red, T_stop, T_R", lambda c: f"{c.T_red}, {c.T_stop}, {c.T_R} s"
+        ),
+        row("V_lmax", lambda c: f"{c.V_lmax} m/s"),
+        row("k_max of Vo, of Vr", lambda c: f"{c.k_omax}, {c.k_lmax} m/s"),
+        row("C_dC", lambda c: f"{c.C_dC} m"),
+        row("B_min", lambda c: f"{c.B_min} m"),
+        row("d_C, d_R of SM", lambda c: f"{c.d_C_sm}, {c.d_R_sm} m"),
+        row("alpha_I, alpha_D", lambda c: f"{c.alpha_I}, {c.alpha_D}"),
+    ]
+
+
+def tell(report: Path, failures: dict[str, str]) -> int:
+    """Prints where the report is; returns the exit code."""
     for label, reason in failures.items():
         print(f"tofssm: failed: {label}: {reason}", file=sys.stderr)
-    print((out / "results.parquet").resolve())
+    print(report.resolve())
     return 1 if failures else 0
