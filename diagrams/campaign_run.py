@@ -8,10 +8,11 @@ import tempfile
 from tofssm_drake.diagrams.scenario import (
     NoHuman,
     Scenario,
+    change_scenario,
 )
 from tofssm_drake.diagrams.simulation import Run
 from tofssm_drake.diagrams.workcell import make_workcell
-from tofssm_drake.evaluation.campaign import PlannedRun, make_row
+from tofssm_drake.evaluation.campaign import VARIANTS, PlannedRun, make_row
 from tofssm_drake.evaluation.run_metrics import calc_run_metrics
 from tofssm_drake.evaluation.samples import write_samples
 from tofssm_drake.human.bvh import BvhRecording
@@ -45,10 +46,12 @@ def make_run_scenario(
     scenario = copy.deepcopy(base)
     cell, trial = run.cell, run.trial
     scenario.ssm.configuration = cell.configuration
-    if cell.law == "literal":
-        scenario.ssm.literal = True
-        scenario.separation.literal = True
+    scenario.sensing = "tof" if cell.sensing == "tof16" else cell.sensing
     scenario.sensors_per_ring = 16 if cell.sensing == "tof16" else 8
+    if cell.variant:
+        scenario = change_scenario(
+            scenario, VARIANTS[cell.variant].changes, source=cell.key
+        )
     if trial is None:
         scenario.human = NoHuman()
         return scenario

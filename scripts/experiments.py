@@ -24,11 +24,12 @@ from tofssm_drake.diagrams.scenario import (
     Scenario,
     dump_scenario,
     load_scenario,
+    make_law,
 )
 from tofssm_drake.errors import require
 from tofssm_drake.evaluation.campaign import (
-    LAWS,
     SENSINGS,
+    VARIANTS,
     Plan,
     PlannedRun,
     check_folder,
@@ -61,11 +62,11 @@ def experiments(
             metavar="NAME",
         ),
     ] = None,
-    law: Annotated[
+    study: Annotated[
         list[str] | None,
         typer.Option(
-            help="safe, or literal to the letter of the paper (sensing tof "
-            "only); may be given again.",
+            help="Also run cells with something changed, to see what it "
+            f"does: all, or {', '.join(VARIANTS)}; may be given again.",
             metavar="NAME",
         ),
     ] = None,
@@ -81,6 +82,9 @@ def experiments(
         str,
         typer.Option(help="Settings of all runs, as YAML."),
     ] = "",
+    duration: Annotated[
+        float, typer.Option(help="Longest simulated time of a run, s.")
+    ] = 900.0,
     seed: Annotated[int, typer.Option(help="Decides every trial.")] = 0,
     scheduler: Annotated[
         str | None,
@@ -104,13 +108,15 @@ def experiments(
 ) -> int:
     """Run the paper's experiment and write its tables, figures and report."""
     scenario = load_scenario(text=scenario_text)
+    scenario.simulation_duration = duration
+    scenario.check()
     motions = read_motions(human_motions, scenario)
     plan = make_plan(
         seed=seed,
         trials=trials,
         sensings=sensing or list(SENSINGS),
         configurations=ssm or list(CONFIGURATIONS),
-        laws=law or list(LAWS),
+        variants=list(VARIANTS) if study == ["all"] else study or [],
         scenario=dump_scenario(scenario),
         motions={
             name: hashlib.sha256(content).hexdigest()
@@ -246,8 +252,11 @@ def list_parameters(
         Rows (name, value by sensing).
     """
     laws = {
-        cell.sensing: make_run_scenario(scenario, PlannedRun(cell=cell)).ssm
+        cell.sensing: make_law(
+            make_run_scenario(scenario, PlannedRun(cell=cell))
+        )
         for cell in plan.cells
+        if not cell.variant
     }
 
     def row(name, text):

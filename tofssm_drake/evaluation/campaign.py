@@ -31,8 +31,82 @@ SENSINGS = ("tof", "ideal", "lidar", "tof16")
 """What a campaign compares: the rings of 8 sensors, the ideal distance, the
 lidar at the base, and the rings of 16 that the paper announces."""
 
-LAWS = ("safe", "literal")
-"""The safety law as corrected here, and to the letter of the paper."""
+
+@dc.dataclass(frozen=True, kw_only=True)
+class Variant:
+    """Cells run once more with something changed, to see what it does."""
+
+    key: str
+    label: str
+    question: str
+    """What the comparison answers."""
+    sensings: tuple[str, ...]
+    configurations: tuple[str, ...]
+    changes: str
+    """The changed settings of the scenario, as YAML."""
+
+
+VARIANTS = {
+    variant.key: variant
+    for variant in (
+        Variant(
+            key="literal",
+            label="literal law",
+            question="What do the corrections of the printed law change?",
+            sensings=("tof",),
+            configurations=CONFIGURATIONS,
+            changes="{ssm: {literal: true}, separation: {literal: true}}",
+        ),
+        Variant(
+            key="kmax",
+            label="k_max 3.3 m/s",
+            question="The paper's text gives Vr a k_max of 1.7 m/s, its table "
+            "one of 3.3 m/s. Does it matter?",
+            sensings=("tof", "ideal"),
+            configurations=("vr",),
+            changes="{ssm: {k_lmax: 3.3}}",
+        ),
+        Variant(
+            key="exact",
+            label="no sensor errors",
+            question="How much of the rings' error is the sensors' own, and "
+            "how much is that eight beams see little?",
+            sensings=("tof",),
+            configurations=("vo",),
+            changes="{rings: {sensor: {ideal: true}}}",
+        ),
+        Variant(
+            key="late",
+            label="0.1 s late",
+            question="Does the Ideal distance react later than the rings if "
+            "computing it takes 0.1 s?",
+            sensings=("ideal",),
+            configurations=CONFIGURATIONS,
+            changes="{ideal: {latency: 0.1}, ssm: {deadline: 0.2}}",
+        ),
+        Variant(
+            key="subtracted",
+            label="r_o subtracted",
+            question="What if the workspace radius is subtracted from the "
+            "lidar's distance instead of added to the law's?",
+            sensings=("lidar",),
+            configurations=CONFIGURATIONS,
+            changes="{lidar_separation: {distance_rule: subtracted}}",
+        ),
+        Variant(
+            key="piecewise",
+            label="paper's piecewise rule",
+            question="What does the jump of the paper's Eq. 11 at the border "
+            "of the workspace do?",
+            sensings=("lidar",),
+            configurations=CONFIGURATIONS,
+            changes="{lidar_separation: {distance_rule: literal}}",
+        ),
+    )
+}
+"""What a study compares, by key. The sign of the closing speed as the paper
+prints it is in none of them: with it a person who comes nearer counts as one
+who leaves."""
 
 _SENSING_LABEL = {
     "tof": "Real",
@@ -56,19 +130,19 @@ class Cell:
     """One of SENSINGS."""
     configuration: str = "vo"
     """vo, vr or sm."""
-    law: str = "safe"
-    """One of LAWS."""
+    variant: str = ""
+    """Key of VARIANTS; empty: as it is."""
 
     @property
     def key(self) -> str:
         """Short name, for files and columns."""
-        suffix = "" if self.law == "safe" else f"-{self.law}"
+        suffix = f"-{self.variant}" if self.variant else ""
         return f"{self.sensing}-{self.configuration}{suffix}"
 
     @property
     def label(self) -> str:
         """The paper's name."""
-        suffix = "" if self.law == "safe" else f" ({self.law})"
+        suffix = f" ({VARIANTS[self.variant].label})" if self.variant else ""
         return (
             f"{_SENSING_LABEL[self.sensing]} "
             f"{_CONFIGURATION_LABEL[self.configuration]}{suffix}"
@@ -172,9 +246,8 @@ class Plan:
 
     def list_runs(self) -> list[PlannedRun]:
         """Returns the runs, trial by trial, the one without a person first."""
-        alone = dc.replace(self.cells[0], law="safe")
         return [
-            PlannedRun(cell=alone),
+            PlannedRun(cell=dc.replace(self.cells[0], variant="")),
             *(
                 PlannedRun(cell=cell, trial=trial)
                 for trial in self.trials
@@ -195,7 +268,7 @@ def make_plan(
     trials: int,
     sensings: list[str],
     configurations: list[str],
-    laws: list[str],
+    variants: list[str],
     scenario: dict,
     motions: dict[str, str] | None = None,
     versions: dict[str, str] | None = None,
@@ -207,8 +280,8 @@ def make_plan(
         trials: Trials per cell.
         sensings: Some of SENSINGS, in order, each once.
         configurations: Some of vo, vr and sm, likewise.
-        laws: Some of LAWS; the literal law is run for the rings of 8 only,
-            which is what the paper has built.
+        variants: Some of VARIANTS, likewise; of each those cells are run
+            besides whose sensing and configuration are asked for.
         scenario: What all runs have in common, as plain values.
         motions: Digests of recordings by file name.
         versions: Versions of packages.
@@ -219,7 +292,7 @@ def make_plan(
     for option, values, known in (
         ("--sensing", sensings, SENSINGS),
         ("--ssm", configurations, CONFIGURATIONS),
-        ("--law", laws, LAWS),
+        ("--study", variants, tuple(VARIANTS)),
     ):
         for value in values:
             require(
@@ -228,28 +301,29 @@ def make_plan(
                 f"{', '.join(known)}",
             )
         require(
-            len(set(values)) == len(values) > 0,
-            f"{option}: each of {', '.join(values)} must be named once",
+            len(set(values)) == len(values),
+            f"{option}: {', '.join(values)} names one of them twice",
         )
     require(
         1 <= trials <= 1000,
         f"--trials: {trials} must be from 1 to 1000",
     )
     require(0 <= seed < 2**32, f"--seed: {seed} must be from 0 to {2**32 - 1}")
-    cells = tuple(
-        Cell(sensing=sensing, configuration=configuration, law=law)
-        for law in laws
+    cells = [
+        Cell(sensing=sensing, configuration=configuration)
         for sensing in sensings
         for configuration in configurations
-        if law == "safe" or sensing == "tof"
-    )
-    require(
-        len(cells) > 0,
-        "--law: literal is for the sensing tof only, which is not asked for",
-    )
+    ]
+    cells += [
+        dc.replace(cell, variant=key)
+        for key in variants
+        for cell in cells
+        if cell.sensing in VARIANTS[key].sensings
+        and cell.configuration in VARIANTS[key].configurations
+    ]
     return Plan(
         seed=seed,
-        cells=cells,
+        cells=tuple(cells),
         trials=tuple(make_trial(seed, i + 1) for i in range(trials)),
         scenario=scenario,
         motions=dict(motions or {}),
@@ -288,6 +362,27 @@ def find_difference(old, new, where: str = "") -> str | None:
     return None
 
 
+def find_change(old: dict, new: dict) -> str | None:
+    """Returns in words what makes another campaign of a plan.
+
+    More cells and more trials do not: what there is stays as it is.
+
+    Args:
+        old: From `describe_plan`.
+        new: Likewise.
+    """
+    for part in ("cells", "trials"):
+        for item in old[part]:
+            if item not in new[part]:
+                name = " ".join(str(value) for value in item.values() if value)
+                return f"without {part[:-1]} {name} now"
+    rest = [
+        {k: v for k, v in plan.items() if k not in ("cells", "trials")}
+        for plan in (old, new)
+    ]
+    return find_difference(*rest)
+
+
 def check_folder(folder: Path, plan: Plan) -> None:
     """Raises UserError if another campaign is in the folder."""
     path = Path(folder) / _PLAN_FILE
@@ -295,13 +390,13 @@ def check_folder(folder: Path, plan: Plan) -> None:
         return
     try:
         old = json.loads(path.read_text("utf-8"))
-    except (OSError, ValueError) as error:
-        raise UserError(f"{path}: can not be read: {error}") from None
-    difference = find_difference(old, describe_plan(plan))
+        difference = find_change(old, describe_plan(plan))
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise UserError(f"{path}: is no campaign's plan: {error}") from None
     require(
         difference is None,
         f"--out: {folder} holds another campaign ({difference}); give "
-        "another folder or the same options",
+        "another folder, or the same options and perhaps more trials or cells",
     )
 
 
@@ -381,7 +476,7 @@ def make_row(run: PlannedRun, metrics: dict) -> dict:
         "run": run.key,
         "sensing": run.cell.sensing,
         "configuration": run.cell.configuration,
-        "law": run.cell.law,
+        "variant": run.cell.variant,
         "trial": trial.number if trial else 0,
         "seed": trial.seed if trial else 0,
         "speed": trial.speed if trial else np.nan,

@@ -68,8 +68,8 @@ def _find_configurations(cells):
     return [c for c in CONFIGURATION_NAME if c in known]
 
 
-def _list_safe(results):
-    return [cell for cell in results.cells if cell.law == "safe"]
+def _list_plain(results):
+    return [cell for cell in results.cells if not cell.variant]
 
 
 def find_window(samples: Samples, span: float = _SPAN) -> slice:
@@ -102,7 +102,7 @@ def make_distance_figure(
         samples: One run each of the cells to show over time.
         narrow: For a phone.
     """
-    sensings = _find_sensings(_list_safe(results))
+    sensings = _find_sensings(_list_plain(results))
     with matplotlib.rc_context(STYLE):
         figure = Figure(
             figsize=(_NARROW, 2.1 * len(samples) + 3.4)
@@ -164,7 +164,7 @@ def _draw_errors(ax, results, sensings, narrow):
     x = 0.0
     for sensing in sensings:
         start = x
-        for cell in _list_safe(results):
+        for cell in _list_plain(results):
             if cell.sensing != sensing:
                 continue
             for metric, shade in (
@@ -272,7 +272,7 @@ def make_productivity_figure(
         metric: The safety metric's average.
         narrow: For a phone.
     """
-    cells = _list_safe(results)
+    cells = _list_plain(results)
     with matplotlib.rc_context(STYLE):
         figure = Figure(
             figsize=(_NARROW, 5.4) if narrow else (8.6, 5.6),
@@ -546,7 +546,7 @@ def make_radar_figure(results: Results, *, narrow: bool = False) -> Figure:
         results: Of the campaign.
         narrow: For a phone.
     """
-    cells = _list_safe(results)
+    cells = _list_plain(results)
     with matplotlib.rc_context(STYLE):
         figure = Figure(
             figsize=(_NARROW, 15.0) if narrow else (_WIDE, 9.6),

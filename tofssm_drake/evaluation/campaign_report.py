@@ -4,8 +4,13 @@ import dataclasses as dc
 import math
 from pathlib import Path
 
-from tofssm_drake.evaluation import campaign_figures, claims, figures
-from tofssm_drake.evaluation.campaign import Cell, Plan, get_run_folder
+from tofssm_drake.evaluation import campaign_figures, figures
+from tofssm_drake.evaluation.campaign import (
+    VARIANTS,
+    Cell,
+    Plan,
+    get_run_folder,
+)
 from tofssm_drake.evaluation.claims import (
     NOT_REPRODUCED,
     NOT_RUN,
@@ -216,7 +221,7 @@ def list_pairs(results: Results) -> dict[str, list[tuple[Cell, Cell]]]:
     Only pairs of which both were run.
     """
     cells = results.cells
-    safe = [cell for cell in cells if cell.law == "safe"]
+    plain = [cell for cell in cells if not cell.variant]
 
     def known(pairs):
         return [(a, b) for a, b in pairs if a in cells and b in cells]
@@ -224,24 +229,27 @@ def list_pairs(results: Results) -> dict[str, list[tuple[Cell, Cell]]]:
     return {
         "sensing": known(
             (cell, dc.replace(cell, sensing="tof"))
-            for cell in safe
+            for cell in plain
             if cell.sensing in ("ideal", "lidar")
         ),
         "configuration": known(
             (cell, dc.replace(cell, configuration="vo"))
-            for cell in safe
+            for cell in plain
             if cell.configuration != "vo"
-        ),
-        "law": known(
-            (cell, dc.replace(cell, law="safe"))
-            for cell in cells
-            if cell.law == "literal"
         ),
         "sixteen": known(
             (cell, dc.replace(cell, sensing="tof"))
-            for cell in safe
+            for cell in plain
             if cell.sensing == "tof16"
         ),
+        **{
+            key: known(
+                (cell, dc.replace(cell, variant=""))
+                for cell in cells
+                if cell.variant == key
+            )
+            for key in VARIANTS
+        },
     }
 
 
@@ -300,28 +308,28 @@ def make_verdict(
         )
     )
     runs = results.count_runs()
-    safe = [cell for cell in results.cells if cell.law == "safe"]
-    contacts = results.total("contacts_while_moving", safe)
+    plain = [cell for cell in results.cells if not cell.variant]
+    contacts = results.total("contacts_while_moving", plain)
     with_contact = sum(
         value > 0
-        for cell in safe
+        for cell in plain
         for value in results.values(cell, "contacts_while_moving").values()
     )
-    safe_runs = sum(len(results.values(cell, "finished")) for cell in safe)
+    plain_runs = sum(len(results.values(cell, "finished")) for cell in plain)
     if contacts:
         verdict.append(
             (
                 "bad",
-                f"In {with_contact} of {safe_runs} runs the moving robot "
+                f"In {with_contact} of {plain_runs} runs the moving robot "
                 f"touched the person ({contacts:.0f} contacts).",
             )
         )
-    elif safe_runs:
-        bound = 100 * calc_rate_bound(safe_runs)
+    elif plain_runs:
+        bound = 100 * calc_rate_bound(plain_runs)
         verdict.append(
             (
                 "good",
-                f"The moving robot touched nobody in {safe_runs} runs. That "
+                f"The moving robot touched nobody in {plain_runs} runs. That "
                 f"only bounds the rate of contacts below {bound:.1f} % per "
                 "run, with 95 % confidence.",
             )
@@ -354,7 +362,7 @@ def list_figures(
 
     Args:
         results: Of the campaign.
-        samples: One run of each cell with the safe law.
+        samples: One run of each cell without a variant.
     """
     nine = {
         cell: run for cell, run in samples.items() if cell.sensing != "tof16"
@@ -397,13 +405,13 @@ def list_figures(
 
 
 def read_first_runs(folder: Path, plan: Plan) -> dict[Cell, Samples]:
-    """Reads what the figures need of one run of each cell with the safe law.
+    """Reads what the figures need of one run of each cell without a variant.
 
     The first trial that is there; cells without any are left out.
     """
     samples = {}
     for run in plan.list_runs():
-        wanted = run.trial is not None and run.cell.law == "safe"
+        wanted = run.trial is not None and not run.cell.variant
         if not wanted or run.cell in samples:
             continue
         where = get_run_folder(folder, run)
@@ -477,10 +485,10 @@ def make_campaign_report(
 ) -> str:
     """Returns the report as one HTML document; see `write_campaign_report`."""
     found = check_claims(results)
-    safe = [cell for cell in results.cells if cell.law == "safe"]
+    plain = [cell for cell in results.cells if not cell.variant]
     pairs = list_pairs(results)
     compared = [_BY_NAME[name] for name in _COMPARED]
-    sensings = list(dict.fromkeys(cell.sensing for cell in safe))
+    sensings = list(dict.fromkeys(cell.sensing for cell in plain))
     return render_page(
         "campaign.html.jinja",
         trials=len(results.trials),
@@ -489,12 +497,12 @@ def make_campaign_report(
         claims=[make_claim_row(claim) for claim in found],
         pictures=pictures,
         tables={
-            name: make_cell_table(results, safe, metrics)
+            name: make_cell_table(results, plain, metrics)
             for name, metrics in METRICS.items()
         },
         radar_table=make_cell_table(
             results,
-            safe,
+            plain,
             [
                 _BY_NAME[metric]
                 for _, curves in campaign_figures.RADARS
@@ -508,7 +516,7 @@ def make_campaign_report(
             for name, rows in pairs.items()
             if rows
         },
-        rules=claims.__doc__.split("- A claim", 1)[0],
+        studies=list(VARIANTS.values()),
         people=_make_people(plan),
         alone=_format_alone(results),
         versions=plan.versions,

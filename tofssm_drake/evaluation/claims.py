@@ -404,8 +404,8 @@ def claim_time_to_reduce(results: Results) -> Claim:
                 for c in ("vr", "sm")
             ],
         ),
-        "From normal to reduced the speed fraction always takes its 0.25 s "
-        "ramp; what varies is whether a stop comes in between.",
+        "From full speed the ramp takes 0.25 s; it is shorter where the robot "
+        "had not yet reached full speed again.",
     )
 
 

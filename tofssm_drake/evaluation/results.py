@@ -29,7 +29,7 @@ class Results:
             cell = Cell(
                 sensing=row["sensing"],
                 configuration=row["configuration"],
-                law=row["law"],
+                variant=row["variant"],
             )
             self._rows.setdefault(cell, {})[row["trial"]] = row
 
