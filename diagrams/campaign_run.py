@@ -12,6 +12,7 @@ from tofssm_drake.diagrams.scenario import (
 )
 from tofssm_drake.diagrams.simulation import Run
 from tofssm_drake.diagrams.workcell import make_workcell
+from tofssm_drake.evaluation.audit import calc_audit
 from tofssm_drake.evaluation.campaign import VARIANTS, PlannedRun, make_row
 from tofssm_drake.evaluation.run_metrics import calc_run_metrics
 from tofssm_drake.evaluation.samples import write_samples
@@ -104,5 +105,9 @@ def execute(
             path.name: path.read_bytes()
             for path in write_samples(samples, Path(folder))
         }
-    row = make_row(run, calc_run_metrics(samples))
+    metrics = calc_run_metrics(samples)
+    audit = calc_audit(samples)
+    if audit is not None:
+        metrics |= audit.make_row()
+    row = make_row(run, metrics)
     return Outcome(row=row, files=files, simulated=progress.time)

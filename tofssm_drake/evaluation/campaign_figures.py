@@ -612,3 +612,90 @@ def _draw_radar(ax, results, cells, title, curves):
         ax.legend(
             loc="lower left", bbox_to_anchor=(-0.16, -0.14), handlelength=2.4
         )
+
+
+def make_audit_figure(results: Results, *, narrow: bool = False) -> Figure:
+    """By how much the law keeps less distance than ISO/TS 15066 asks.
+
+    Args:
+        results: Of the campaign.
+        narrow: For a phone.
+    """
+    cells = _list_plain(results)
+    with matplotlib.rc_context(STYLE):
+        figure = Figure(
+            figsize=(
+                _NARROW if narrow else _WIDE,
+                0.36 * max(len(cells), 1) + 1.5,
+            ),
+            layout="constrained",
+        )
+        ax = figure.subplots()
+        for i, cell in enumerate(cells):
+            colour = SENSING_COLOUR[cell.sensing]
+            _draw_shortfall(ax, i - 0.16, results, cell, "walking_in", colour)
+            if cell.configuration == "vo":
+                _draw_shortfall(
+                    ax, i + 0.22, results, cell, "as_measured", GREY
+                )
+        ax.axvline(0.0, color=BLACK, linewidth=1.2)
+        ax.set_yticks(range(len(cells)), [cell.label for cell in cells])
+        ax.set_ylim(len(cells) - 0.4, -0.6)
+        for tick, cell in zip(ax.get_yticklabels(), cells, strict=True):
+            tick.set_color(SENSING_COLOUR[cell.sensing])
+        ax.grid(axis="y", visible=False)
+        ax.set_xlabel(
+            "shortfall $S_p - d_C$ (m)"
+            if narrow
+            else "shortfall $S_p - d_C$ (m): right of 0 the law keeps less "
+            "than the standard asks"
+        )
+        add_legend(
+            ax,
+            [
+                Patch(color=BLUE, alpha=0.45, label="walking in at 1.6 m/s"),
+                Patch(
+                    color=GREY, alpha=0.45, label="speed as measured (Vo only)"
+                ),
+                Line2D(
+                    [],
+                    [],
+                    color=BLACK,
+                    marker="|",
+                    markersize=9,
+                    markeredgewidth=2,
+                    linestyle="none",
+                    label="median; bar: 5 % to 95 % of the time",
+                ),
+                Line2D(
+                    [],
+                    [],
+                    color=BLACK,
+                    marker=">",
+                    linestyle="none",
+                    label="worst tick of all trials",
+                ),
+            ],
+            columns=1 if narrow else 4,
+        )
+    return figure
+
+
+def _draw_shortfall(ax, y, results, cell, name, colour):
+    low, middle, high = (
+        results.estimate(cell, f"shortfall_{name}_p{q}_m").mean
+        for q in ("05", "50", "95")
+    )
+    worst = results.values(cell, f"shortfall_{name}_max_m").values()
+    if not math.isfinite(middle):
+        return
+    ax.barh(y, max(high - low, 0.004), 0.28, left=low, color=colour, alpha=0.45)
+    ax.plot(
+        middle,
+        y,
+        "|",
+        color=BLACK,
+        markersize=9,
+        markeredgewidth=2,
+    )
+    ax.plot(np.nanmax(list(worst)), y, ">", color=colour, markersize=5)

@@ -20,7 +20,7 @@ from tofssm_drake.evaluation.claims import (
     check_claims,
     format_estimate,
 )
-from tofssm_drake.evaluation.page import make_picture, render_page
+from tofssm_drake.evaluation.page import Picture, render_page
 from tofssm_drake.evaluation.results import Results
 from tofssm_drake.evaluation.samples import (
     Samples,
@@ -145,6 +145,56 @@ METRICS = {
     ),
 }
 """The paper's evaluation metric (its first table): criteria and columns."""
+
+AUDIT_METRICS = (
+    Metric(
+        name="shortfall_walking_in_p50_m",
+        label="shortfall, walking in: median",
+        unit="m",
+    ),
+    Metric(name="shortfall_walking_in_max_m", label="worst", unit="m"),
+    Metric(
+        name="shortfall_walking_in_share",
+        label="time too short",
+        unit="%",
+        digits=0,
+        scale=100.0,
+    ),
+    Metric(
+        name="shortfall_as_measured_p50_m",
+        label="as measured: median",
+        unit="m",
+    ),
+    Metric(name="shortfall_as_measured_max_m", label="worst", unit="m"),
+    Metric(
+        name="shortfall_as_measured_share",
+        label="time too short",
+        unit="%",
+        digits=0,
+        scale=100.0,
+    ),
+    Metric(
+        name="inside_protective_s",
+        label="not told to stop inside S_p",
+        unit="s per run",
+        digits=1,
+    ),
+    Metric(
+        name="latency_over_T_R_s",
+        label="worst latency over T_R",
+        unit="ms",
+        digits=0,
+        scale=1000.0,
+    ),
+    Metric(
+        name="ur10_stop_over_T_stop_s",
+        label="UR10's stop over T_stop",
+        unit="ms",
+        digits=0,
+        scale=1000.0,
+    ),
+)
+"""Columns of the audit's table."""
 
 _COMPARED = (
     "productivity",
@@ -394,6 +444,12 @@ def list_figures(
             "per cell.",
             (nine,),
         ),
+        "audit_shortfall": (
+            campaign_figures.make_audit_figure,
+            "For each cell by how much its critical distance is shorter than "
+            "the protective separation distance of ISO/TS 15066.",
+            (results,),
+        ),
         "fig12_radars": (
             campaign_figures.make_radar_figure,
             "Four radars: reaction time, times to stop and to reduce, tool "
@@ -418,6 +474,41 @@ def read_first_runs(folder: Path, plan: Plan) -> dict[Cell, Samples]:
         if (where / "row.parquet").exists():
             samples[run.cell] = read_samples(where, _KINDS)
     return {cell: samples[cell] for cell in plan.cells if cell in samples}
+
+
+def find_latencies(
+    samples: dict[Cell, Samples],
+) -> dict[str, dict[str, float]]:
+    """Returns the parts of the worst latency, s, by sensing."""
+    latencies = {}
+    for cell, run in samples.items():
+        audit = run.metadata.get("audit") or {}
+        if "latency_s" in audit:
+            latencies.setdefault(cell.sensing, audit["latency_s"])
+    return latencies
+
+
+def make_latency_table(
+    latencies: dict[str, dict[str, float]],
+) -> list[tuple[str, dict[str, str]]]:
+    """Returns rows (part, text by sensing), in ms, the sum last."""
+    parts = list(dict.fromkeys(p for of in latencies.values() for p in of))
+    rows = [
+        (
+            part,
+            {
+                sensing: f"{1000 * of[part]:.0f}" if part in of else _NONE
+                for sensing, of in latencies.items()
+            },
+        )
+        for part in parts
+    ]
+    if rows:
+        sums = {
+            s: f"{1000 * sum(of.values()):.0f}" for s, of in latencies.items()
+        }
+        rows.append(("sum", sums))
+    return rows
 
 
 def write_campaign_report(
@@ -447,14 +538,19 @@ def write_campaign_report(
         UserError: The folder can not be written.
     """
     results = Results(rows)
-    drawn = list_figures(results, read_first_runs(folder, plan))
+    samples = read_first_runs(folder, plan)
+    drawn = list_figures(results, samples)
     where = Path(folder) / "figures"
     where.mkdir(exist_ok=True)
     pictures = {}
     for name, (make, description, arguments) in drawn.items():
-        pictures[name] = make_picture(make, description, *arguments)
         figure = make(*arguments)
         svg, png = figures.to_svg(figure), figures.to_png(figure)
+        pictures[name] = Picture(
+            wide=figures.encode_svg(svg),
+            narrow=figures.to_data_uri(make(*arguments, narrow=True)),
+            description=description,
+        )
         write_atomically(
             where / f"{name}.svg", lambda p, svg=svg: p.write_text(svg)
         )
@@ -466,6 +562,7 @@ def write_campaign_report(
         results=results,
         pictures=pictures,
         parameters=parameters,
+        latencies=find_latencies(samples),
         command=command,
         failures=failures or {},
     )
@@ -480,10 +577,21 @@ def make_campaign_report(
     results: Results,
     pictures: dict,
     parameters: list[tuple[str, dict[str, str]]],
+    latencies: dict[str, dict[str, float]],
     command: str,
     failures: dict[str, str],
 ) -> str:
-    """Returns the report as one HTML document; see `write_campaign_report`."""
+    """Returns the report as one HTML document.
+
+    Args:
+        plan: See `write_campaign_report`.
+        results: Of the campaign.
+        pictures: By the name that `list_figures` gives them.
+        parameters: See `write_campaign_report`.
+        latencies: From `find_latencies`.
+        command: See `write_campaign_report`.
+        failures: See `write_campaign_report`.
+    """
     found = check_claims(results)
     plain = [cell for cell in results.cells if not cell.variant]
     pairs = list_pairs(results)
@@ -509,6 +617,12 @@ def make_campaign_report(
                 for metric, _ in curves
             ],
         ),
+        audit=make_cell_table(results, plain, AUDIT_METRICS),
+        has_audit=any(
+            results.estimate(cell, AUDIT_METRICS[0].name).count
+            for cell in plain
+        ),
+        latencies=make_latency_table(latencies),
         sensings=[(s, campaign_figures.SENSING_NAME[s]) for s in sensings],
         parameters=parameters,
         differences={

@@ -93,7 +93,12 @@ def to_png(figure: Figure, *, dpi: int = 200) -> bytes:
 
 def to_data_uri(figure: Figure) -> str:
     """Returns the figure as a data URI that an <img> can show."""
-    data = base64.b64encode(to_svg(figure).encode()).decode()
+    return encode_svg(to_svg(figure))
+
+
+def encode_svg(svg: str) -> str:
+    """Returns SVG text as a data URI."""
+    data = base64.b64encode(svg.encode()).decode()
     return f"data:image/svg+xml;base64,{data}"
 
 
@@ -227,7 +232,7 @@ def _mark_contacts(axes, contacts):
 
 def add_legend(ax, handles=None, columns=4):
     """Puts a legend above the axes, left, in so many columns."""
-    options = {"handles": handles} if handles else {}
+    options = {} if handles is None else {"handles": handles}
     ax.legend(
         loc="lower left",
         bbox_to_anchor=(0, 1.0),
