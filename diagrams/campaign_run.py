@@ -5,6 +5,7 @@ import dataclasses as dc
 from pathlib import Path
 import tempfile
 
+from tofssm_drake.diagrams.run_metadata import describe_scenario
 from tofssm_drake.diagrams.scenario import (
     NoHuman,
     Scenario,
@@ -88,9 +89,9 @@ def execute(
         run: Which cell, which trial.
         motion: Name and content of the recording to replay.
     """
+    scenario = make_run_scenario(base, run, motion and motion[0])
+    scenario.check()
     with tempfile.TemporaryDirectory(prefix="tofssm-") as folder:
-        scenario = make_run_scenario(base, run, motion and motion[0])
-        scenario.check()
         if motion is not None:
             path = Path(folder) / motion[0]
             path.write_bytes(motion[1])
@@ -101,6 +102,10 @@ def execute(
         while not progress.finished:
             progress = simulation.advance()
         samples = simulation.make_samples()
+        if motion is not None:
+            # Where the file was here says nothing to anybody.
+            scenario.human.filename = motion[0]
+            samples.metadata["scenario"] = describe_scenario(scenario)
         files = {
             path.name: path.read_bytes()
             for path in write_samples(samples, Path(folder))

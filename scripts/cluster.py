@@ -11,7 +11,9 @@ from distributed import Client, LocalCluster, as_completed
 from tofssm_drake.diagrams.run_metadata import get_versions
 from tofssm_drake.errors import UserError
 
-_CONNECT_TIMEOUT = 10.0
+TIMEOUT = 10.0
+"""How long to wait for an answer of a scheduler, s."""
+"""How long to wait for an answer of a scheduler, s."""
 _SETTINGS = {
     # A simulation may hold Python's lock for a while: that is no fault.
     "distributed.admin.tick.limit": "1h",
@@ -45,9 +47,9 @@ def connect(
                     n_workers=workers or len(os.sched_getaffinity(0)),
                     threads_per_worker=1,
                     processes=True,
-                    # Reachable from this machine only.
+                    # Reachable from this machine only, at any free port.
                     host="127.0.0.1",
-                    dashboard_address=None,
+                    dashboard_address="127.0.0.1:0",
                     silence_logs=logging.CRITICAL,
                 ) as cluster,
                 Client(cluster) as client,
@@ -62,7 +64,7 @@ def connect(
 def _connect_to(scheduler):
     logging.getLogger("distributed").setLevel(logging.CRITICAL)
     try:
-        return Client(scheduler, timeout=_CONNECT_TIMEOUT)
+        return Client(scheduler, timeout=TIMEOUT)
     except (OSError, ValueError, TypeError) as error:
         reason = " ".join(str(error).split()) or type(error).__name__
         raise UserError(

@@ -135,11 +135,18 @@ def experiments(
     missing = [r for r in plan.list_runs() if r.key not in rows]
     failures = {}
     if missing:
-        with connect(scheduler, workers=workers) as client:
-            open_folder(out, plan)
-            failures = run_missing(
-                client, out, plan, missing, scenario, motions
+        try:
+            with connect(scheduler, workers=workers) as client:
+                open_folder(out, plan)
+                failures = run_missing(
+                    client, out, plan, missing, scenario, motions
+                )
+        except KeyboardInterrupt:
+            print(
+                "tofssm: interrupted; the same command goes on from here",
+                file=sys.stderr,
             )
+            return 130
     results = make_results(plan, read_rows(out, plan))
     write_results(out, results)
     report = write_campaign_report(

@@ -112,6 +112,7 @@ class TestImports(unittest.TestCase):
         known = {
             *("pydrake", "jinja2", "matplotlib", "numba", "numpy"),
             *("pyarrow", "yaml", "rich", "ruckig", "typer", "tofssm_drake"),
+            *("dask", "distributed"),
         }
         extras = {
             "tofssm_drake.robot.meshes": {
