@@ -603,14 +603,18 @@ def _draw_radar(ax, results, cells, title, curves):
     turn = np.linspace(0, 2 * np.pi, 181)
     ax.plot(turn, np.zeros_like(turn), color=GREY, linewidth=1.4, zorder=1)
     ax.set_xticks(angle, [cell.label for cell in cells])
-    for tick, cell in zip(ax.get_xticklabels(), cells, strict=True):
+    for tick, cell, a in zip(ax.get_xticklabels(), cells, angle, strict=True):
         tick.set_color(SENSING_COLOUR[cell.sensing])
-    ax.tick_params(axis="x", pad=8)
+        side = round(math.sin(a), 6)
+        tick.set_horizontalalignment(
+            "center" if not side else "left" if side > 0 else "right"
+        )
+    ax.tick_params(axis="x", pad=2)
     ax.tick_params(axis="y", labelsize=7.5)
     ax.set_title(title, loc="center", pad=18)
     if len(curves) > 1:
         ax.legend(
-            loc="lower left", bbox_to_anchor=(-0.16, -0.14), handlelength=2.4
+            loc="upper left", bbox_to_anchor=(-0.3, 1.16), handlelength=2.4
         )
 
 

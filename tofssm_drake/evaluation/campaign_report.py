@@ -30,6 +30,12 @@ from tofssm_drake.evaluation.samples import (
 from tofssm_drake.evaluation.statistics import calc_rate_bound
 
 _NONE = "\u2013"
+_MARK = {
+    REPRODUCED: "\u2713",
+    NOT_REPRODUCED: "\u2717",
+    UNDECIDED: "?",
+    NOT_RUN: _NONE,
+}
 _KINDS = ("tcp_speed", "true_distance", "measured_distance")
 
 
@@ -317,6 +323,7 @@ def make_claim_row(claim: Claim) -> dict:
         }[claim.verdict],
         "unit": claim.unit,
         "note": claim.note,
+        "why": claim.why,
         "evidence": [
             {
                 "what": e.what,
@@ -324,6 +331,7 @@ def make_claim_row(claim: Claim) -> dict:
                     e.estimate, digits=digits, sign="\u2212" in e.what
                 ),
                 "verdict": e.verdict,
+                "mark": _MARK[e.verdict],
             }
             for e in claim.evidence
         ],
@@ -371,7 +379,8 @@ def make_verdict(
             (
                 "bad",
                 f"In {with_contact} of {plain_runs} runs the moving robot "
-                f"touched the person ({contacts:.0f} contacts).",
+                f"touched the person ({contacts:.0f} contacts). Runs with a "
+                f"contact: {_count_by_configuration(results, plain)}.",
             )
         )
     elif plain_runs:
@@ -403,6 +412,22 @@ def make_verdict(
             )
         )
     return verdict
+
+
+def _count_by_configuration(results, cells):
+    """Returns how many runs had a contact, by configuration."""
+    parts = []
+    for c, name in campaign_figures.CONFIGURATION_NAME.items():
+        values = [
+            value
+            for cell in cells
+            if cell.configuration == c
+            for value in results.values(cell, "contacts_while_moving").values()
+        ]
+        if values:
+            touched = sum(value > 0 for value in values)
+            parts.append(f"{name} {touched} of {len(values)}")
+    return ", ".join(parts)
 
 
 def list_figures(

@@ -68,6 +68,8 @@ class Claim:
     evidence: tuple[Evidence, ...] = ()
     note: str = ""
     """What else one has to know."""
+    why: str = ""
+    """Why it is not reproduced, as far as the results tell; empty unless so."""
 
 
 def judge_positive(difference: Estimate) -> str:
@@ -129,18 +131,31 @@ def _compare(results, metric, pairs, *, least=False):
     return evidence
 
 
-def _claim(key, text, unit, evidence, note=""):
+def _claim(key, text, unit, evidence, note="", why=""):
+    verdict = combine([e.verdict for e in evidence])
     return Claim(
         key=key,
         text=text,
-        verdict=combine([e.verdict for e in evidence]),
+        verdict=verdict,
         unit=unit,
         evidence=tuple(evidence),
         note=note,
+        why=why if verdict in (NOT_REPRODUCED, UNDECIDED) else "",
     )
 
 
-def _claim_safety(results, key, text, pairs, *, least=False):
+def _list_means(results, metric, cells, *, digits=2, scale=1.0):
+    """Returns `Real Vo 0.53, ...` of the cells that were run."""
+    parts = []
+    for cell in cells:
+        value = results.estimate(cell, metric)
+        if value.count:
+            mean = f"{scale * value.mean:.{digits}f}".replace("-", "\u2212")
+            parts.append(f"{cell.label} {mean}")
+    return ", ".join(parts)
+
+
+def _claim_safety(results, key, text, pairs, *, least=False, why=""):
     """A claim on the safety metric, with what the other averages say."""
     metrics = list(SAFETY)
     evidence = _compare(results, metrics[0], pairs, least=least)
@@ -151,7 +166,21 @@ def _claim_safety(results, key, text, pairs, *, least=False):
         )
         others.append(f"by the {SAFETY[metric]}: {verdict}")
     note = f"By the mean over the samples. {'; '.join(others).capitalize()}."
-    return _claim(key, text, "m\u00b2/(m/s)", evidence, note)
+    return _claim(key, text, "m\u00b2/(m/s)", evidence, note, why)
+
+
+def _explain_slow_lidar(results):
+    """Tells what a robot that mostly stands does to the safety metric."""
+    stopped = _list_means(
+        results,
+        "stopped_s",
+        [_cell(s, "vo") for s in _SENSINGS],
+        digits=0,
+    )
+    return (
+        "The metric divides by the tool speed: who keeps the robot slow or "
+        f"standing scores high. Time stopped per run (s): {stopped}."
+    )
 
 
 def _about(results, metric, targets):
@@ -184,6 +213,13 @@ def claim_rmse(results: Results) -> Claim:
         "Distances with the radius of what they are measured from taken off, "
         "in configuration Vo. The distance from a link's centre to a surface "
         "can not be 9 mm from that between two surfaces.",
+        why=(
+            "Three link centres can not stand for the robot's whole surface: "
+            "the Ideal distance, which has no sensor error, errs by as much "
+            "as the nearest part is away from a link's centre (hand, gripper, "
+            "forearm's ends). The lidar's distance is that from the base, "
+            "right only while the arm points at the person."
+        ),
     )
 
 
@@ -249,13 +285,24 @@ def claim_vr_less_safe(results: Results) -> Claim:
     return _claim_safety(
         results,
         "safety: Vr",
-        "Vr is the less safe configuration of Real and of Ideal.",
+        "Vr is the least safe configuration of Real and of Ideal.",
         [
             (_cell(s, "vr"), _cell(s, c))
             for s in ("tof", "ideal")
             for c in ("vo", "sm")
         ],
         least=True,
+        why=(
+            "Vr and SM differ by less than the trials do. Time stopped per "
+            "run (s): "
+            + _list_means(
+                results,
+                "stopped_s",
+                [_cell(s, c) for s in ("tof", "ideal") for c in ("vr", "sm")],
+                digits=0,
+            )
+            + "."
+        ),
     )
 
 
@@ -271,6 +318,7 @@ def claim_vo_ideal_safest(results: Results) -> Claim:
             for c in _CONFIGURATIONS
             if (s, c) != ("ideal", "vo")
         ],
+        why=_explain_slow_lidar(results),
     )
 
 
@@ -296,6 +344,7 @@ def claim_lidar_less_safe(results: Results) -> Claim:
             for c in _CONFIGURATIONS
         ],
         least=True,
+        why=_explain_slow_lidar(results),
     )
 
 
@@ -307,6 +356,21 @@ def claim_real_less_safe_than_ideal(results: Results) -> Claim:
         "Real is less safe than Ideal, because its distances err more.",
         [(_cell("tof", c), _cell("ideal", c)) for c in _CONFIGURATIONS],
         least=True,
+        why=(
+            "Errors of the rings go both ways: they see the person too late, "
+            "or stop where Ideal would not. Time stopped per run (s): "
+            + _list_means(
+                results,
+                "stopped_s",
+                [
+                    _cell(s, c)
+                    for s in ("tof", "ideal")
+                    for c in _CONFIGURATIONS
+                ],
+                digits=0,
+            )
+            + "."
+        ),
     )
 
 
@@ -329,6 +393,10 @@ def claim_fastest_reaction(results: Results) -> Claim:
         ),
         "From the true distance's fall to 0.5 m to the stop; an approach "
         "without a stop has no reaction time and counts as missed.",
+        why=(
+            "The lidar sees the person all the way and its distances are the "
+            "largest, so that it stops as early."
+        ),
     )
 
 
@@ -352,7 +420,37 @@ def claim_reaction_anticipates(results: Results) -> Claim:
         "the critical distance.",
         "s",
         evidence,
+        why=(
+            "SM stops at 0.5 m from a link's centre, which is less than 0.5 m "
+            "between the surfaces: it can not come before. At rest Vr stops "
+            "at 0.585 m from the centre, hardly more."
+        ),
     )
+
+
+def _explain_reaction(results):
+    """Tells what makes rings earlier or later, with the study if any."""
+    text = (
+        "Ideal comes without delay here. The rings are later by their "
+        "sampling and filter, and by what they do not see; with Vo they are "
+        "earlier, because a person seen for the first time counts as walking "
+        "in at 1.6 m/s."
+    )
+    studied = []
+    for c in _CONFIGURATIONS:
+        late = Cell(sensing="ideal", configuration=c, variant="late")
+        value = results.difference(late, _cell("tof", c), "reaction_time_s")
+        if value.count:
+            difference = format_estimate(value, digits=2, sign=True)
+            studied.append(
+                f"{_cell('tof', c).label.removeprefix('Real ')} {difference} s"
+            )
+    if studied:
+        text += (
+            " With an Ideal distance that comes 0.1 s late, Ideal \u2212 Real "
+            f"is: {', '.join(studied)}."
+        )
+    return text
 
 
 def claim_real_reacts_before_ideal(results: Results) -> Claim:
@@ -368,6 +466,7 @@ def claim_real_reacts_before_ideal(results: Results) -> Claim:
             [(_cell("tof", c), _cell("ideal", c)) for c in _CONFIGURATIONS],
             least=True,
         ),
+        why=_explain_reaction(results),
     )
 
 
@@ -385,6 +484,16 @@ def claim_time_to_stop(results: Results) -> Claim:
                 for s in _SENSINGS
                 for c in ("vo", "vr")
             ],
+        ),
+        why=(
+            "A stop takes as long as the speed fraction has to fall: what "
+            "counts is how fast the robot was. Tool speed at a stop (m/s): "
+            + _list_means(
+                results,
+                "velocity_change_at_stop_mps",
+                [_cell(s, c) for s in _SENSINGS for c in _CONFIGURATIONS],
+            )
+            + "."
         ),
     )
 
@@ -442,6 +551,11 @@ def claim_separation_at_stop(results: Results) -> Claim:
                 for c in _CONFIGURATIONS
             ],
         ),
+        why=(
+            "The distance at a stop follows the law's own: SM stops at 0.5 m "
+            "from the link's centre, Vo the earlier the faster the person "
+            "comes."
+        ),
     )
 
 
@@ -459,6 +573,10 @@ def claim_separation_at_reduce(results: Results) -> Claim:
                 for s in ("tof", "ideal")
                 for c in _CONFIGURATIONS
             ],
+        ),
+        why=(
+            "As at a stop: with Vo the distance grows with the closing speed, "
+            "and a person who is seen for the first time counts as walking in."
         ),
     )
 
