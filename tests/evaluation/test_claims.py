@@ -256,6 +256,28 @@ class TestClaims(unittest.TestCase):
             ],
         )
 
+    def test_why(self):
+        """Told where a claim does not hold, with the studies that were run."""
+        plan = make_small_plan(3, variants=["exact", "late"])
+        change = make_means(by_sensing(0.3, 0.3, 0.3), "reaction_time_s")
+        for studied in (False, True):
+            rows = make_rows(
+                plan,
+                {"task_time_s": 80.0, "distance_rmse_surface_m": 0.3},
+                change,
+            )
+            if not studied:
+                for run in plan.list_runs():
+                    if run.cell.variant:
+                        del rows[run.key]
+            results = Results(make_results(plan, rows))
+            why = mut.claim_rmse(results).why
+            self.assertEqual("+0.000 ± 0.000 m" in why, studied)
+            why = mut.claim_real_reacts_before_ideal(results).why
+            self.assertEqual("that comes 0.1 s late" in why, studied)
+        results = make_results_of("productivity", by_sensing(0.6, 0.5, 0.2))
+        self.assertEqual(mut.claim_productivity_over_lidar(results).why, "")
+
     def test_all_averages_of_the_safety_metric_are_told(self):
         results = make_results_of(SAFETY, by_configuration(5.0, 4.0, 9.0))
         note = mut.claim_vo_safer_than_vr(results).note

@@ -258,7 +258,11 @@ def make_difference_table(results: Results, pairs, metrics) -> dict:
             value = results.difference(first, second, m.name)
             clear = value.low > 0.0 or value.high < 0.0
             entries.append((_format(value, m, sign=True), clear))
-        rows.append((f"{first.label} \u2212 {second.label}", entries))
+        label = f"{first.label} \u2212 {second.label}"
+        if first == dc.replace(second, variant=first.variant):
+            # The table is about the variant.
+            label = second.label
+        rows.append((label, entries))
     return {"head": [(m.label, m.unit) for m in metrics], "rows": rows}
 
 
