@@ -44,7 +44,7 @@ def make_run_metadata(
         robot_bodies: Names that the column `robot_body` counts.
     """
     return {
-        "scenario": yaml.safe_dump(dump_scenario(scenario), sort_keys=False),
+        "scenario": describe_scenario(scenario),
         "ssm": scenario.ssm.configuration,
         "sensing": scenario.sensing,
         "seed": scenario.random_seed,
@@ -67,6 +67,11 @@ def make_run_metadata(
         "plan": _describe_plan(station),
         "versions": get_versions(),
     }
+
+
+def describe_scenario(scenario: Scenario) -> str:
+    """Returns a scenario as YAML, every setting written out."""
+    return yaml.safe_dump(dump_scenario(scenario), sort_keys=False)
 
 
 def get_versions() -> dict[str, str]:

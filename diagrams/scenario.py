@@ -247,10 +247,24 @@ def load_scenario(
         )
     check_yaml(children[name], Scenario, source, name)
     scenario = _load(source, children[name], Scenario())
+    return change_scenario(scenario, text, source="--scenario-text")
+
+
+def change_scenario(scenario: Scenario, text: str, *, source: str) -> Scenario:
+    """Returns a scenario with some settings changed, checked.
+
+    Args:
+        scenario: What they are changed in; stays as it is.
+        text: YAML of these settings; may be empty.
+        source: Where the text is from, for the message.
+
+    Raises:
+        UserError: See `load_scenario`.
+    """
     if text.strip():
-        node = parse_yaml(text, "--scenario-text")
-        check_yaml(node, Scenario, "--scenario-text")
-        scenario = _load("--scenario-text", node, scenario)
+        node = parse_yaml(text, source)
+        check_yaml(node, Scenario, source)
+        scenario = _load(source, node, scenario)
     scenario.check()
     return scenario
 

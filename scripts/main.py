@@ -14,6 +14,7 @@ def make_app() -> typer.Typer:
     They are imported here and not above: it takes a second, in which Ctrl-C
     has to work as well.
     """
+    from tofssm_drake.scripts.experiments import experiments
     from tofssm_drake.scripts.simulate import simulate
     from tofssm_drake.scripts.simulated_rings import simulated_rings
     from tofssm_drake.scripts.simulated_ur import simulated_ur
@@ -27,6 +28,7 @@ def make_app() -> typer.Typer:
         pretty_exceptions_enable=False,
     )
     app.command()(simulate)
+    app.command()(experiments)
     app.command("simulated-rings")(simulated_rings)
     app.command("simulated-ur")(simulated_ur)
     return app

@@ -132,7 +132,7 @@ class TestModels(unittest.TestCase):
             ("ur10/ur10.urdf", (Capsule, Sphere)),
             ("gripper/gripper.urdf", (Capsule, Sphere)),
             ("workcell/cell.dmd.yaml", (Box, Cylinder, HalfSpace)),
-            ("workcell/product.sdf", (Box,)),
+            ("workcell/product.urdf", (Box,)),
         ):
             _, _, scene_graph = make_plant(url)
             inspector = scene_graph.model_inspector()

@@ -46,7 +46,7 @@ _SHADE = {
     RobotState.REDUCED: ("#FCEFD0", None, "#FCEFD0"),
 }
 
-_STYLE = {
+STYLE = {
     "svg.fonttype": "none",
     "svg.hashsalt": "tofssm",
     "font.family": ["DejaVu Sans"],
@@ -75,7 +75,7 @@ _STYLE = {
 def to_svg(figure: Figure) -> str:
     """Returns the figure as SVG text, the same for the same figure."""
     buffer = io.StringIO()
-    with matplotlib.rc_context(_STYLE):
+    with matplotlib.rc_context(STYLE):
         figure.savefig(buffer, format="svg", metadata={"Date": None})
     # A browser's sans-serif is the fallback where DejaVu is not installed.
     return buffer.getvalue().replace(
@@ -83,9 +83,22 @@ def to_svg(figure: Figure) -> str:
     )
 
 
+def to_png(figure: Figure, *, dpi: int = 200) -> bytes:
+    """Returns the figure as a PNG file's content."""
+    buffer = io.BytesIO()
+    with matplotlib.rc_context(STYLE):
+        figure.savefig(buffer, format="png", dpi=dpi)
+    return buffer.getvalue()
+
+
 def to_data_uri(figure: Figure) -> str:
     """Returns the figure as a data URI that an <img> can show."""
-    data = base64.b64encode(to_svg(figure).encode()).decode()
+    return encode_svg(to_svg(figure))
+
+
+def encode_svg(svg: str) -> str:
+    """Returns SVG text as a data URI."""
+    data = base64.b64encode(svg.encode()).decode()
     return f"data:image/svg+xml;base64,{data}"
 
 
@@ -217,8 +230,9 @@ def _mark_contacts(axes, contacts):
             ax.axvline(contact.time, color=PURPLE, linewidth=1.4, zorder=4)
 
 
-def _legend(ax, handles=None, columns=4):
-    options = {"handles": handles} if handles else {}
+def add_legend(ax, handles=None, columns=4):
+    """Puts a legend above the axes, left, in so many columns."""
+    options = {} if handles is None else {"handles": handles}
     ax.legend(
         loc="lower left",
         bbox_to_anchor=(0, 1.0),
@@ -313,7 +327,7 @@ def make_timeline(samples: Samples, *, narrow: bool = False) -> Figure:
     columns = 2 if narrow else 4
     contacts = find_contacts(samples)
     top = None
-    with matplotlib.rc_context(_STYLE):
+    with matplotlib.rc_context(STYLE):
         figure = Figure(
             figsize=(
                 (4.3, 1.8 + 5.0 * rows) if narrow else (10.6, 1.3 + 4.6 * rows)
@@ -407,7 +421,7 @@ def _draw_speed(ax, samples, columns, narrow):
         ax.fill_between(time, 0, greatest, color=BLUE, alpha=0.25, linewidth=0)
         ax.plot(time, greatest, color=BLUE, linewidth=0.9)
     if columns:
-        _legend(ax, handles, columns)
+        add_legend(ax, handles, columns)
 
 
 def _draw_distance(ax, samples, columns, narrow, top, touched):
@@ -449,13 +463,13 @@ def _draw_distance(ax, samples, columns, narrow, top, touched):
         handles.append(
             Line2D([], [], color=PURPLE, label="contact while moving")
         )
-    _legend(ax, handles, columns)
+    add_legend(ax, handles, columns)
     return top
 
 
 def make_plan(samples: Samples, *, narrow: bool = False) -> Figure:
     """The cell from above with the paths of tool and person."""
-    with matplotlib.rc_context(_STYLE):
+    with matplotlib.rc_context(STYLE):
         size = (4.3, 5.4) if narrow else (7.4, 6.6)
         figure = Figure(figsize=size, layout="constrained")
         ax = figure.subplots()
@@ -593,7 +607,7 @@ def make_plan(samples: Samples, *, narrow: bool = False) -> Figure:
         ax.set_aspect("equal", adjustable="datalim")
         ax.set_xlabel("x (m)")
         ax.set_ylabel("y (m)")
-        _legend(ax, handles, columns=2 if narrow else 3)
+        add_legend(ax, handles, columns=2 if narrow else 3)
     return figure
 
 
@@ -647,7 +661,7 @@ def make_rings(samples: Samples, *, narrow: bool = False) -> Figure:
     rings = samples.rings
     t = samples["t"]
     strips = 2 if samples.metadata.get("sensing", "tof") == "tof" else 1
-    with matplotlib.rc_context(_STYLE):
+    with matplotlib.rc_context(STYLE):
         figure = Figure(
             figsize=_size_rings(len(rings), strips, narrow),
             layout="constrained",
@@ -732,7 +746,7 @@ def _draw_ring_distance(ax, samples, ring, columns, narrow):
     ax.set_ylim(0, _limit_distance(measured, reduced))
     ax.set_ylabel("m")
     if columns:
-        _legend(ax, columns=columns)
+        add_legend(ax, columns=columns)
     ax.set_title(name_link(samples, ring), pad={0: 6, 2: 34, 4: 20}[columns])
 
 
@@ -828,7 +842,7 @@ def make_ring_diagram(
     *, beam_azimuth, fov, radius, azimuth, distance, label: str
 ) -> Figure:
     """A ring seen along its axis: its beams, and where the person was."""
-    with matplotlib.rc_context(_STYLE):
+    with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(2.6, 2.6), layout="constrained")
         ax = figure.subplots()
         ax.set_axis_off()

@@ -1,11 +1,9 @@
 """The report of one run: a single file that any browser opens, offline."""
 
 import dataclasses as dc
-import importlib.resources
 import math
 from pathlib import Path
 
-import jinja2
 import numpy as np
 
 from tofssm_drake.evaluation import figures
@@ -23,6 +21,7 @@ from tofssm_drake.evaluation.metrics import (
     find_episodes,
     find_state_events,
 )
+from tofssm_drake.evaluation.page import make_picture, render_page
 from tofssm_drake.evaluation.samples import Samples, write_atomically
 from tofssm_drake.messages import RobotState
 
@@ -45,15 +44,6 @@ _SHORTFALL = {
     "vr": "0.52 to 0.62 m",
     "sm": "0.60 to 1.11 m",
 }
-
-
-@dc.dataclass(frozen=True, kw_only=True)
-class Figure:
-    """A picture of the report in its two widths."""
-
-    wide: str
-    narrow: str
-    description: str
 
 
 @dc.dataclass(frozen=True, kw_only=True)
@@ -467,29 +457,21 @@ def _make_episode_row(episode: Episode):
     }
 
 
-def _make_both(make, description, *args, **options) -> Figure:
-    return Figure(
-        wide=figures.to_data_uri(make(*args, **options)),
-        narrow=figures.to_data_uri(make(*args, narrow=True, **options)),
-        description=description,
-    )
-
-
 def _make_figures(samples, events, contacts):
     result = {
-        "timeline": _make_both(
+        "timeline": make_picture(
             figures.make_timeline,
             "Robot state, tool speed with speed fraction, and measured and "
             "true distance with the thresholds, over the time of the run.",
             samples,
         ),
-        "plan": _make_both(
+        "plan": make_picture(
             figures.make_plan,
             "The cell from above: tables, robot base, path of the tool, and "
             "path of the person drawn in the colour of the robot's state.",
             samples,
         ),
-        "rings": _make_both(
+        "rings": make_picture(
             figures.make_rings,
             "For each watched link: measured and true distance with the "
             "thresholds, and with rings every sensor's readings over time.",
@@ -499,7 +481,7 @@ def _make_figures(samples, events, contacts):
     closeup = figures.find_closeup(events, contacts)
     if closeup is not None:
         time, what = closeup
-        result["closeup"] = _make_both(
+        result["closeup"] = make_picture(
             figures.make_closeup,
             f"The same three curves around {what}.",
             samples,
@@ -531,19 +513,9 @@ def make_report(
     contacts = find_contacts(samples)
     episodes = find_episodes(samples, events)
     ssm = str(metadata.get("ssm", "")).lower()
-    environment = jinja2.Environment(
-        autoescape=True,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        undefined=jinja2.StrictUndefined,
-    )
-    template = environment.from_string(
-        importlib.resources.files("tofssm_drake.evaluation")
-        .joinpath("report.html.jinja")
-        .read_text(encoding="utf-8")
-    )
     has_samples = len(samples) > 1
-    page = template.render(
+    return render_page(
+        "report.html.jinja",
         interrupted=bool(metadata.get("interrupted")),
         scenario=metadata.get("scenario", ""),
         versions=metadata.get("versions", {}),
@@ -570,7 +542,6 @@ def make_report(
         rings=_make_ring_rows(samples, summary),
         facts=_make_facts(samples, summary),
     )
-    return page.lstrip()
 
 
 def make_audit_section(samples: Samples) -> dict | None:

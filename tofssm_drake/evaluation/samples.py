@@ -213,12 +213,14 @@ def write_samples(samples: Samples, folder: Path) -> list[Path]:
     return paths
 
 
-def read_samples(path: Path) -> Samples:
+def read_samples(path: Path, kinds: tuple[str, ...] | None = None) -> Samples:
     """Reads what `write_samples` wrote.
 
     Args:
         path: `samples.parquet`, or the folder that holds it. A missing
             `scans.parquet` beside it leaves `scan` empty.
+        kinds: Reads these columns only, of the per-ring ones each ring's, and
+            no scans; None: everything.
 
     Returns:
         The samples.
@@ -229,7 +231,7 @@ def read_samples(path: Path) -> Samples:
     path = Path(path)
     if path.is_dir():
         path = path / "samples.parquet"
-    table = _read_table(path)
+    table = _read_table(path, kinds)
     if "t" not in table.column_names:
         raise UserError(f"{path}: not a table of samples: no column `t`")
     metadata = json.loads((table.schema.metadata or {}).get(_KEY, b"{}"))
@@ -238,14 +240,21 @@ def read_samples(path: Path) -> Samples:
     }
     samples = Samples(column=column, metadata=metadata)
     scans = path.with_name("scans.parquet")
-    if scans.exists():
+    if kinds is None and scans.exists():
         samples.scan = _split_scan_table(_read_table(scans), samples.rings)
     return samples
 
 
-def _read_table(path):
+def _read_table(path, kinds=None):
     try:
-        return pq.read_table(path)
+        if kinds is None:
+            return pq.read_table(path)
+        file = pq.ParquetFile(path)
+        names = file.schema_arrow.names
+        ends = tuple(f"_{kind}" for kind in kinds if kind in RING_COLUMNS)
+        return file.read(
+            [n for n in names if n == "t" or n in kinds or n.endswith(ends)]
+        )
     except (OSError, pa.ArrowInvalid) as error:
         reason = str(error).splitlines()[0]
         raise UserError(f"{path}: cannot be read: {reason}") from error

@@ -89,7 +89,7 @@ def make_cell_plant(
             )
         parser.AddModelsFromUrl(_URL + "rings/" + file)
     for i in range(products):
-        (instance,) = parser.AddModelsFromUrl(_URL + "workcell/product.sdf")
+        (instance,) = parser.AddModelsFromUrl(_URL + "workcell/product.urdf")
         plant.RenameModelInstance(instance, f"product_{i}")
     if time_step > 0:
         # Outputs show the state itself: a quarter faster, and nothing here

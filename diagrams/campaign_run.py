@@ -1,0 +1,118 @@
+"""Makes and runs one run of a campaign, on whichever machine."""
+
+import copy
+import dataclasses as dc
+from pathlib import Path
+import tempfile
+
+from tofssm_drake.diagrams.run_metadata import describe_scenario
+from tofssm_drake.diagrams.scenario import (
+    NoHuman,
+    Scenario,
+    change_scenario,
+)
+from tofssm_drake.diagrams.simulation import Run
+from tofssm_drake.diagrams.workcell import make_workcell
+from tofssm_drake.evaluation.audit import calc_audit
+from tofssm_drake.evaluation.campaign import VARIANTS, PlannedRun, make_row
+from tofssm_drake.evaluation.run_metrics import calc_run_metrics
+from tofssm_drake.evaluation.samples import write_samples
+from tofssm_drake.human.bvh import BvhRecording
+from tofssm_drake.human.walk import GeneratedWalk
+
+
+@dc.dataclass(frozen=True, kw_only=True)
+class Outcome:
+    """What a run leaves."""
+
+    row: dict
+    files: dict[str, bytes]
+    """Contents by file name."""
+    simulated: float
+    """Simulated time, s."""
+
+
+def make_run_scenario(
+    base: Scenario, run: PlannedRun, motion: str | None = None
+) -> Scenario:
+    """Returns the scenario of one run of a campaign.
+
+    Args:
+        base: What all runs have in common; not changed. A generated walk or
+            a recording in it tells what the trials do not: where the figure
+            of eight lies.
+        run: Which cell, which trial.
+        motion: File name of the recording to replay instead of a generated
+            walk; it keeps its own speed and stature.
+    """
+    scenario = copy.deepcopy(base)
+    cell, trial = run.cell, run.trial
+    scenario.ssm.configuration = cell.configuration
+    scenario.sensing = "tof" if cell.sensing == "tof16" else cell.sensing
+    scenario.sensors_per_ring = 16 if cell.sensing == "tof16" else 8
+    if cell.variant:
+        scenario = change_scenario(
+            scenario, VARIANTS[cell.variant].changes, source=cell.key
+        )
+    if trial is None:
+        scenario.human = NoHuman()
+        return scenario
+    scenario.random_seed = trial.seed
+    path = copy.deepcopy(scenario.human.figure_eight)
+    path.start = trial.start
+    path.reverse = trial.reverse
+    path.centre = [
+        c + shift for c, shift in zip(path.centre, trial.centre, strict=True)
+    ]
+    path.half_length *= trial.half_length
+    path.half_width *= trial.half_width
+    if motion is None:
+        scenario.human = GeneratedWalk(
+            speed=trial.speed, stature=trial.stature, figure_eight=path
+        )
+    else:
+        scenario.human = BvhRecording(filename=motion, figure_eight=path)
+    return scenario
+
+
+def execute(
+    base: Scenario,
+    run: PlannedRun,
+    motion: tuple[str, bytes] | None = None,
+) -> Outcome:
+    """Runs one run of a campaign to its end.
+
+    It needs no file of the machine that asks for it, and leaves none.
+
+    Args:
+        base: See `make_run_scenario`.
+        run: Which cell, which trial.
+        motion: Name and content of the recording to replay.
+    """
+    scenario = make_run_scenario(base, run, motion and motion[0])
+    scenario.check()
+    with tempfile.TemporaryDirectory(prefix="tofssm-") as folder:
+        if motion is not None:
+            path = Path(folder) / motion[0]
+            path.write_bytes(motion[1])
+            scenario.human.filename = str(path)
+        workcell = make_workcell(scenario)
+        simulation = Run(workcell=workcell, scenario=scenario)
+        progress = simulation.advance()
+        while not progress.finished:
+            progress = simulation.advance()
+        samples = simulation.make_samples()
+        if motion is not None:
+            # Where the file was here says nothing to anybody.
+            scenario.human.filename = motion[0]
+            samples.metadata["scenario"] = describe_scenario(scenario)
+        files = {
+            path.name: path.read_bytes()
+            for path in write_samples(samples, Path(folder))
+        }
+    metrics = calc_run_metrics(samples)
+    audit = calc_audit(samples)
+    if audit is not None:
+        metrics |= audit.make_row()
+    row = make_row(run, metrics)
+    return Outcome(row=row, files=files, simulated=progress.time)

@@ -1,0 +1,125 @@
+"""Spreads calls over the cores of this machine, or over a Dask cluster."""
+
+from collections.abc import Callable, Iterator
+import contextlib
+import logging
+import os
+
+import dask
+from distributed import Client, LocalCluster, as_completed
+
+from tofssm_drake.diagrams.run_metadata import get_versions
+from tofssm_drake.errors import UserError
+
+TIMEOUT = 10.0
+"""How long to wait for an answer of a scheduler, s."""
+"""How long to wait for an answer of a scheduler, s."""
+_SETTINGS = {
+    # A simulation may hold Python's lock for a while: that is no fault.
+    "distributed.admin.tick.limit": "1h",
+    # A worker that died takes its run with it, and no other.
+    "distributed.scheduler.allowed-failures": 1,
+}
+
+
+@contextlib.contextmanager
+def connect(
+    scheduler: str | None = None, *, workers: int | None = None
+) -> Iterator[Client]:
+    """Connects to a cluster for the time of a `with`.
+
+    Args:
+        scheduler: Address of a Dask scheduler, e.g. tcp://10.0.0.1:8786;
+            None starts worker processes on this machine, and ends them.
+        workers: How many processes then; None: as many as there are cores.
+
+    Yields:
+        A Dask client.
+
+    Raises:
+        UserError: Nobody answers there, nobody works there, or the workers
+            have other versions of what results depend on.
+    """
+    with dask.config.set(_SETTINGS):
+        if scheduler is None:
+            with (
+                LocalCluster(
+                    n_workers=workers or len(os.sched_getaffinity(0)),
+                    threads_per_worker=1,
+                    processes=True,
+                    # Reachable from this machine only, at any free port.
+                    host="127.0.0.1",
+                    dashboard_address="127.0.0.1:0",
+                    silence_logs=logging.CRITICAL,
+                ) as cluster,
+                Client(cluster) as client,
+            ):
+                yield client
+            return
+        with _connect_to(scheduler) as client:
+            _check_workers(client, scheduler)
+            yield client
+
+
+def _connect_to(scheduler):
+    logging.getLogger("distributed").setLevel(logging.CRITICAL)
+    try:
+        return Client(scheduler, timeout=TIMEOUT)
+    except (OSError, ValueError, TypeError) as error:
+        reason = " ".join(str(error).split()) or type(error).__name__
+        raise UserError(
+            f"--scheduler: no Dask scheduler answers at {scheduler} ({reason})"
+        ) from None
+
+
+def _check_workers(client, scheduler):
+    """Raises UserError unless somebody works there who gives our results."""
+    try:
+        theirs = client.run(get_versions)
+    except ImportError as error:
+        raise UserError(
+            f"--scheduler: a worker of {scheduler} lacks a package: {error}"
+        ) from None
+    if not theirs:
+        raise UserError(
+            f"--scheduler: {scheduler} has no workers; start some with "
+            "`dask worker ADDRESS --nthreads 1`"
+        )
+    ours = get_versions()
+    for address, versions in theirs.items():
+        for name, version in ours.items():
+            if versions.get(name) != version:
+                raise UserError(
+                    f"--scheduler: the worker {address} has {name} "
+                    f"{versions.get(name)}, this machine {version}"
+                )
+
+
+def call_all(
+    client: Client, function: Callable, calls: dict[str, tuple]
+) -> Iterator[tuple[str, object, BaseException | None]]:
+    """Calls a function with many arguments, as far as possible at once.
+
+    Args:
+        client: From `connect`.
+        function: What to call; importable by the workers.
+        calls: Arguments by name.
+
+    Yields:
+        (name, result, None) or (name, None, error), as they come. Nothing is
+        kept of what was yielded.
+    """
+    names = {}
+    for priority, (name, arguments) in enumerate(calls.items()):
+        future = client.submit(
+            function, *arguments, pure=False, priority=-priority
+        )
+        names[future] = name
+    for future in as_completed(list(names)):
+        name = names.pop(future)
+        error = future.exception()
+        if error is None:
+            yield name, future.result(), None
+        else:
+            yield name, None, error
+        future.release()

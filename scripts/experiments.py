@@ -1,0 +1,290 @@
+"""`tofssm experiments`: the paper's experiment, and its report."""
+
+import hashlib
+from pathlib import Path
+import shlex
+import sys
+import time
+from typing import Annotated
+
+from rich.console import Console
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
+import typer
+
+from tofssm_drake.diagrams.campaign_run import execute, make_run_scenario
+from tofssm_drake.diagrams.run_metadata import get_versions
+from tofssm_drake.diagrams.scenario import (
+    Scenario,
+    dump_scenario,
+    load_scenario,
+    make_law,
+)
+from tofssm_drake.errors import require
+from tofssm_drake.evaluation.campaign import (
+    SENSINGS,
+    VARIANTS,
+    Plan,
+    PlannedRun,
+    check_folder,
+    make_plan,
+    make_results,
+    open_folder,
+    read_rows,
+    store_run,
+    write_results,
+)
+from tofssm_drake.evaluation.campaign_report import write_campaign_report
+from tofssm_drake.human.bvh import BvhRecording, make_bvh_motion
+from tofssm_drake.scripts.cluster import call_all, connect
+from tofssm_drake.ssm.config import CONFIGURATIONS
+
+
+def experiments(
+    trials: Annotated[int, typer.Option(help="Trials per cell.")] = 5,
+    sensing: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="tof, ideal, lidar or tof16; may be given again.",
+            metavar="NAME",
+        ),
+    ] = None,
+    ssm: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="Safety law: vo, vr or sm; may be given again.",
+            metavar="NAME",
+        ),
+    ] = None,
+    study: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="Also run cells with something changed, to see what it "
+            f"does: all, or {', '.join(VARIANTS)}; may be given again.",
+            metavar="NAME",
+        ),
+    ] = None,
+    human_motions: Annotated[
+        Path | None,
+        typer.Option(
+            help="Folder of BVH recordings; the trials take turns with "
+            "their gaits. Default: generated walks.",
+            metavar="DIR",
+        ),
+    ] = None,
+    scenario_text: Annotated[
+        str,
+        typer.Option(help="Settings of all runs, as YAML."),
+    ] = "",
+    duration: Annotated[
+        float, typer.Option(help="Longest simulated time of a run, s.")
+    ] = 900.0,
+    seed: Annotated[int, typer.Option(help="Decides every trial.")] = 0,
+    scheduler: Annotated[
+        str | None,
+        typer.Option(
+            help="A Dask cluster; default: the cores of this machine.",
+            metavar="tcp://HOST:8786",
+        ),
+    ] = None,
+    workers: Annotated[
+        int | None,
+        typer.Option(help="Processes on this machine; default: its cores."),
+    ] = None,
+    out: Annotated[
+        Path,
+        typer.Option(
+            help="Folder for the results; runs that are finished in it are "
+            "not repeated.",
+            metavar="DIR",
+        ),
+    ] = Path("out/experiments"),
+) -> int:
+    """Run the paper's experiment and write its tables, figures and report."""
+    scenario = load_scenario(text=scenario_text)
+    scenario.simulation_duration = duration
+    scenario.check()
+    motions = read_motions(human_motions, scenario)
+    plan = make_plan(
+        seed=seed,
+        trials=trials,
+        sensings=sensing or list(SENSINGS),
+        configurations=ssm or list(CONFIGURATIONS),
+        variants=list(VARIANTS) if study == ["all"] else study or [],
+        scenario=dump_scenario(scenario),
+        motions={
+            name: hashlib.sha256(content).hexdigest()
+            for name, content in motions.items()
+        },
+        versions=get_versions(),
+    )
+    for planned in plan.list_runs():
+        make_run_scenario(scenario, planned).check(planned.key)
+    require(
+        workers is None or 1 <= workers <= 1000,
+        f"--workers: {workers} must be from 1 to 1000",
+    )
+    check_folder(out, plan)
+    rows = read_rows(out, plan)
+    missing = [r for r in plan.list_runs() if r.key not in rows]
+    failures = {}
+    if missing:
+        try:
+            with connect(scheduler, workers=workers) as client:
+                open_folder(out, plan)
+                failures = run_missing(
+                    client, out, plan, missing, scenario, motions
+                )
+        except KeyboardInterrupt:
+            print(
+                "tofssm: interrupted; the same command goes on from here",
+                file=sys.stderr,
+            )
+            return 130
+    results = make_results(plan, read_rows(out, plan))
+    write_results(out, results)
+    report = write_campaign_report(
+        out,
+        plan=plan,
+        rows=results,
+        parameters=list_parameters(scenario, plan),
+        command=shlex.join(["tofssm", *sys.argv[1:]]),
+        failures=failures,
+    )
+    return tell(report, failures)
+
+
+def read_motions(folder: Path | None, scenario: Scenario) -> dict[str, bytes]:
+    """Returns the recordings in a folder by file name.
+
+    Args:
+        folder: None: none.
+        scenario: Tells the control tick.
+
+    Raises:
+        UserError: There are none, or nobody walks in one of them.
+    """
+    if folder is None:
+        return {}
+    require(folder.is_dir(), f"--human-motions: there is no folder {folder}")
+    paths = sorted(p for p in folder.iterdir() if p.suffix.lower() == ".bvh")
+    require(len(paths) > 0, f"--human-motions: no .bvh files are in {folder}")
+    for path in paths:
+        make_bvh_motion(
+            BvhRecording(filename=str(path)), scenario.control_period
+        )
+    return {path.name: path.read_bytes() for path in paths}
+
+
+def run_missing(
+    client,
+    out: Path,
+    plan: Plan,
+    missing: list[PlannedRun],
+    scenario: Scenario,
+    motions: dict[str, bytes],
+) -> dict[str, str]:
+    """Runs what is not there yet and stores each run as it comes.
+
+    Args:
+        client: From `connect`.
+        out: The campaign's folder.
+        plan: The campaign's.
+        missing: The runs to do.
+        scenario: What all runs have in common.
+        motions: Recordings by file name.
+
+    Returns:
+        What went wrong, by the label of the run.
+    """
+    total = len(plan.list_runs())
+    calls = {}
+    for planned in missing:
+        name = plan.find_motion(planned)
+        motion = None if name is None else (name, motions[name])
+        calls[planned.key] = scenario, planned, motion
+    by_key = {planned.key: planned for planned in missing}
+    failures = {}
+    start = time.perf_counter()
+    simulated = 0.0
+    with make_progress_bar() as bar:
+        task = bar.add_task(
+            "", total=total, completed=total - len(missing), speed=0.0
+        )
+        for key, outcome, error in call_all(client, execute, calls):
+            planned = by_key[key]
+            if error is None:
+                store_run(out, planned, outcome.row, outcome.files)
+                simulated += outcome.simulated
+            else:
+                reason = " ".join(str(error).split()) or type(error).__name__
+                failures[planned.label] = reason
+                bar.console.print(
+                    f"failed: {planned.label}: {reason}",
+                    markup=False,
+                    highlight=False,
+                )
+            speed = simulated / (time.perf_counter() - start)
+            bar.update(task, advance=1, speed=speed)
+    return failures
+
+
+def make_progress_bar() -> Progress:
+    """Returns a bar of runs with the time left."""
+    return Progress(
+        TextColumn("runs"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TextColumn("{task.fields[speed]:.0f} simulated s per s"),
+        TimeElapsedColumn(),
+        TextColumn("left"),
+        TimeRemainingColumn(),
+        console=Console(stderr=True),
+        speed_estimate_period=600.0,
+    )
+
+
+def list_parameters(
+    scenario: Scenario, plan: Plan
+) -> list[tuple[str, dict[str, str]]]:
+    """Returns the paper's table of parameters, as run.
+
+    Returns:
+        Rows (name, value by sensing).
+    """
+    laws = {
+        cell.sensing: make_law(
+            make_run_scenario(scenario, PlannedRun(cell=cell))
+        )
+        for cell in plan.cells
+        if not cell.variant
+    }
+
+    def row(name, text):
+        return name, {s: text(ssm) for s, ssm in laws.items()}
+
+    return [
+        row(
+            "T_red, T_stop, T_R", lambda c: f"{c.T_red}, {c.T_stop}, {c.T_R} s"
+        ),
+        row("V_lmax", lambda c: f"{c.V_lmax} m/s"),
+        row("k_max of Vo, of Vr", lambda c: f"{c.k_omax}, {c.k_lmax} m/s"),
+        row("C_dC", lambda c: f"{c.C_dC} m"),
+        row("B_min", lambda c: f"{c.B_min} m"),
+        row("d_C, d_R of SM", lambda c: f"{c.d_C_sm}, {c.d_R_sm} m"),
+        row("alpha_I, alpha_D", lambda c: f"{c.alpha_I}, {c.alpha_D}"),
+    ]
+
+
+def tell(report: Path, failures: dict[str, str]) -> int:
+    """Prints where the report is; returns the exit code."""
+    for label, reason in failures.items():
+        print(f"tofssm: failed: {label}: {reason}", file=sys.stderr)
+    print(report.resolve())
+    return 1 if failures else 0

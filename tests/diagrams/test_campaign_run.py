@@ -1,0 +1,164 @@
+import copy
+import io
+from pathlib import Path
+import tempfile
+import unittest
+
+from bvh_writer import write_bvh
+import numpy as np
+import pyarrow.parquet as pq
+
+import tofssm_drake.diagrams.campaign_run as mut
+from tofssm_drake.diagrams.scenario import (
+    NoHuman,
+    dump_scenario,
+    load_scenario,
+    make_law,
+)
+from tofssm_drake.evaluation.campaign import (
+    SENSINGS,
+    VARIANTS,
+    Cell,
+    PlannedRun,
+    make_trial,
+)
+from tofssm_drake.ssm.config import CONFIGURATIONS
+
+
+def make_run(sensing="tof", configuration="vo", variant="", number=1):
+    return PlannedRun(
+        cell=Cell(
+            sensing=sensing, configuration=configuration, variant=variant
+        ),
+        trial=make_trial(0, number),
+    )
+
+
+class TestScenario(unittest.TestCase):
+    def setUp(self):
+        self.base = load_scenario()
+
+    def test_every_cell_makes_a_checked_scenario(self):
+        before = dump_scenario(self.base)
+        for sensing in SENSINGS:
+            for configuration in CONFIGURATIONS:
+                for number in range(1, 20):
+                    run = make_run(sensing, configuration, number=number)
+                    scenario = mut.make_run_scenario(self.base, run)
+                    scenario.check()
+                    self.assertEqual(scenario.random_seed, run.trial.seed)
+                    self.assertEqual(scenario.ssm.configuration, configuration)
+        self.assertEqual(dump_scenario(self.base), before)
+
+    def test_sensing(self):
+        for sensing, expected in (
+            ("tof", ("tof", 8)),
+            ("tof16", ("tof", 16)),
+            ("ideal", ("ideal", 8)),
+            ("lidar", ("lidar", 8)),
+        ):
+            scenario = mut.make_run_scenario(self.base, make_run(sensing))
+            found = scenario.sensing, scenario.sensors_per_ring
+            self.assertEqual(found, expected)
+
+    def test_the_papers_table(self):
+        for sensing, expected in (
+            ("tof", (0.3, 0.5, 1.1)),
+            ("ideal", (0.3, 0.5, 1.1)),
+            ("lidar", (1.12, 1.32, 1.92)),
+        ):
+            law = make_law(mut.make_run_scenario(self.base, make_run(sensing)))
+            self.assertEqual((law.C_dC, law.d_C_sm, law.d_R_sm), expected)
+            self.assertEqual((law.T_red, law.T_stop, law.T_R), (0.4, 0.4, 0.1))
+            self.assertEqual((law.alpha_I, law.alpha_D), (0.3, 0.8))
+
+    def test_the_same_person_in_every_cell(self):
+        people = [
+            dump_scenario(mut.make_run_scenario(self.base, make_run(s, c)))[
+                "human"
+            ]
+            for s in SENSINGS
+            for c in CONFIGURATIONS
+        ]
+        self.assertTrue(all(person == people[0] for person in people))
+        trial = make_trial(0, 1)
+        self.assertEqual(people[0]["speed"], trial.speed)
+        self.assertEqual(people[0]["figure_eight"]["start"], trial.start)
+        self.assertAlmostEqual(
+            people[0]["figure_eight"]["centre"][0], 1.15 + trial.centre[0]
+        )
+
+    def test_every_variant_changes_something(self):
+        for variant in VARIANTS.values():
+            for sensing in variant.sensings:
+                for configuration in variant.configurations:
+                    run = make_run(sensing, configuration, variant.key)
+                    changed = mut.make_run_scenario(self.base, run)
+                    plain = mut.make_run_scenario(
+                        self.base, make_run(sensing, configuration)
+                    )
+                    self.assertNotEqual(
+                        dump_scenario(changed), dump_scenario(plain)
+                    )
+                    # A late sample must not be taken for a lost one.
+                    self.assertGreaterEqual(
+                        changed.ssm.deadline, changed.ideal.latency + 0.1
+                    )
+
+    def test_nobody_there(self):
+        run = PlannedRun(cell=make_run("lidar", "sm").cell)
+        scenario = mut.make_run_scenario(self.base, run)
+        self.assertIsInstance(scenario.human, NoHuman)
+        self.assertEqual(scenario.sensing, "lidar")
+
+    def test_recording(self):
+        base = copy.deepcopy(self.base)
+        base.human.figure_eight.half_length = 1.4
+        scenario = mut.make_run_scenario(base, make_run(), "walk.bvh")
+        self.assertEqual(scenario.human.filename, "walk.bvh")
+        self.assertAlmostEqual(
+            scenario.human.figure_eight.half_length,
+            1.4 * make_trial(0, 1).half_length,
+        )
+
+
+class TestExecute(unittest.TestCase):
+    def setUp(self):
+        self.base = load_scenario(text="{simulation_duration: 0.4}")
+
+    def read(self, outcome, name="samples.parquet"):
+        return pq.read_table(io.BytesIO(outcome.files[name]))
+
+    def test_the_same_run_twice(self):
+        first = mut.execute(self.base, make_run())
+        again = mut.execute(self.base, make_run())
+        self.assertEqual(repr(first.row), repr(again.row))
+        self.assertEqual(first.files, again.files)
+        self.assertEqual(first.row["run"], "tof-vo-1")
+        self.assertEqual(first.row["seed"], make_trial(0, 1).seed)
+        self.assertAlmostEqual(first.row["simulated_s"], 0.4, delta=0.0081)
+        self.assertIn("shortfall_walking_in_p50_m", first.row)
+        self.assertEqual(self.read(first).num_rows, 51)
+
+    def test_people_and_their_places_do_not_depend_on_the_cell(self):
+        places = [
+            np.array(
+                self.read(mut.execute(self.base, make_run(s, c)))["person_x"]
+            )
+            for s, c in (("ideal", "vo"), ("lidar", "sm"))
+        ]
+        np.testing.assert_array_equal(*places)
+
+    def test_a_recording_needs_no_file_here(self):
+        with tempfile.TemporaryDirectory() as folder:
+            path = write_bvh(Path(folder) / "walk.bvh")
+            content = Path(path).read_bytes()
+        run = make_run("ideal")
+        outcome = mut.execute(self.base, run, ("walk.bvh", content))
+        again = mut.execute(self.base, run, ("walk.bvh", content))
+        # Not even the temporary file's name is left.
+        self.assertEqual(outcome.files, again.files)
+
+
+if __name__ == "__main__":
+    unittest.main()

@@ -1,0 +1,364 @@
+"""Figures and report of a made-up campaign."""
+
+from html.parser import HTMLParser
+import math
+from pathlib import Path
+import re
+import tempfile
+import unittest
+
+from synthetic_campaign import make_rows, make_small_plan, make_values
+from synthetic_run import make_rich_run
+
+from tofssm_drake.evaluation import campaign_figures, figures
+from tofssm_drake.evaluation.campaign import (
+    Cell,
+    PlannedRun,
+    get_run_folder,
+    make_plan,
+    make_results,
+)
+import tofssm_drake.evaluation.campaign_report as mut
+from tofssm_drake.evaluation.claims import check_claims
+from tofssm_drake.evaluation.page import Picture
+from tofssm_drake.evaluation.results import Results
+from tofssm_drake.evaluation.samples import write_samples
+
+_VOID = ("meta", "img", "source", "br")
+
+
+class _Checker(HTMLParser):
+    """Collects what a page refers to, and checks that tags are closed."""
+
+    def __init__(self):
+        super().__init__()
+        self.stack, self.links, self.ids, self.alt = [], [], [], []
+
+    def handle_starttag(self, tag, attrs):
+        attrs = dict(attrs)
+        self.links += [
+            attrs[name] for name in ("src", "href", "srcset") if name in attrs
+        ]
+        self.ids += [attrs["id"]] if "id" in attrs else []
+        if tag == "img":
+            self.alt.append(attrs.get("alt"))
+        if tag not in _VOID:
+            self.stack.append(tag)
+
+    def handle_endtag(self, tag):
+        assert self.stack.pop() == tag, tag
+
+
+def _read(page):
+    text = re.sub(r"<style>.*?</style>", " ", page, flags=re.S)
+    return re.sub(r"\s+", " ", re.sub(r"<[^>]+>", " ", text))
+
+
+class _Campaign:
+    """Two trials of every cell, one run like the other but for numbers."""
+
+    def __init__(self, **options):
+        self.run = make_rich_run(12.0)
+        self.plan = make_small_plan(2, **options)
+        metrics = make_values(self.run)
+
+        def change(cell, trial):
+            i = self.plan.cells.index(cell)
+            return {
+                "productivity": 0.3 + 0.05 * i + 0.01 * trial,
+                "safety_mean_m2_per_mps": 5.0 - 0.2 * i,
+                "task_time_s": 100.0 + trial,
+                "shortfall_walking_in_p05_m": 0.1,
+                "shortfall_walking_in_p50_m": 0.2,
+                "shortfall_walking_in_p95_m": 0.4,
+                "shortfall_walking_in_max_m": 0.5 + 0.01 * i,
+            }
+
+        self.rows = make_rows(self.plan, metrics, change)
+
+    @property
+    def results(self):
+        return Results(make_results(self.plan, self.rows))
+
+
+class TestFigures(unittest.TestCase):
+    @classmethod
+    def setUpClass(cls):
+        cls.campaign = _Campaign()
+        cls.samples = {
+            cell: cls.campaign.run
+            for cell in cls.campaign.plan.cells
+            if cell.sensing != "tof16"
+        }
+
+    def texts(self, figure):
+        return re.sub(r"<[^>]+>", " ", figures.to_svg(figure))
+
+    def test_distance(self):
+        cells = [c for c in self.samples if c.configuration == "vo"]
+        for narrow in (False, True):
+            figure = campaign_figures.make_distance_figure(
+                self.campaign.results,
+                {cell: self.samples[cell] for cell in cells},
+                narrow=narrow,
+            )
+            self.assertEqual(len(figure.axes), 4)
+            text = self.texts(figure)
+            for word in ("Real Vo", "RMSE (m)", "time (s)", "paper"):
+                self.assertIn(word, text)
+
+    def test_bars_are_the_means(self):
+        results = self.campaign.results
+        figure = campaign_figures.make_distance_figure(results, {})
+        heights = sorted(p.get_height() for p in figure.axes[-1].patches)
+        expected = sorted(
+            results.estimate(cell, metric).mean
+            for cell in results.cells
+            for metric in (
+                "distance_rmse_centre_m",
+                "distance_rmse_surface_m",
+            )
+        )
+        for height, mean in zip(heights, expected, strict=True):
+            self.assertAlmostEqual(height, mean)
+
+    def test_productivity(self):
+        figure = campaign_figures.make_productivity_figure(
+            self.campaign.results
+        )
+        (ax,) = figure.axes
+        marks = [
+            line.get_xydata()[0].tolist()
+            for line in ax.get_lines()
+            if line.get_markersize() == 9
+        ]
+        self.assertEqual(len(marks), 12)
+        self.assertAlmostEqual(marks[0][0], 5.0)
+        self.assertAlmostEqual(marks[0][1], 100 * (0.3 + 0.015))
+        self.assertIn("%", ax.get_ylabel())
+        self.assertIn("m²/(m/s)", ax.get_xlabel())
+
+    def test_response(self):
+        wide = campaign_figures.make_response_figure(self.samples)
+        # Two axes a panel: speed and distance.
+        self.assertEqual(len(wide.axes), 18)
+        narrow = campaign_figures.make_response_figure(
+            self.samples, narrow=True
+        )
+        self.assertEqual(len(narrow.axes), 18)
+        self.assertEqual(narrow.axes[8].get_title(loc="left"), "Lidar SM")
+
+    def test_phase(self):
+        some = dict(list(self.samples.items())[:2])
+        for narrow in (False, True):
+            figure = campaign_figures.make_phase_figure(some, narrow=narrow)
+            text = self.texts(figure)
+            self.assertIn("measured distance (m)", text)
+            self.assertIn("share of the run", text)
+
+    def test_radars(self):
+        figure = campaign_figures.make_radar_figure(self.campaign.results)
+        self.assertEqual(len(figure.axes), 4)
+        text = self.texts(figure)
+        for title, _ in campaign_figures.RADARS:
+            self.assertIn(title, text)
+
+    def test_audit(self):
+        figure = campaign_figures.make_audit_figure(self.campaign.results)
+        (ax,) = figure.axes
+        worst = [
+            float(line.get_xdata()[0])
+            for line in ax.get_lines()
+            if line.get_marker() == ">"
+        ]
+        self.assertAlmostEqual(max(worst), 0.61)
+
+    def test_a_campaign_without_results(self):
+        """Everything failed: there is still something to draw."""
+        results = Results([])
+        for make, _, arguments in mut.list_figures(results, {}).values():
+            self.assertTrue(make(*arguments).axes)
+
+    def test_window(self):
+        run = self.campaign.run
+        rows = campaign_figures.find_window(run, 4.0)
+        t = run["t"][rows]
+        self.assertAlmostEqual(t[-1] - t[0], 4.0, delta=0.02)
+        mean = run["true_distance"][rows].mean()
+        for start in range(0, 900, 50):
+            other = run["true_distance"][start : start + len(t)].mean()
+            self.assertLessEqual(mean, other + 0.02)
+        whole = campaign_figures.find_window(run, 100.0)
+        self.assertEqual(len(run["t"][whole]), len(run))
+
+
+class TestReport(unittest.TestCase):
+    def setUp(self):
+        self.campaign = _Campaign(variants=["literal"])
+
+    def make(self, **changes):
+        results = changes.pop("results", self.campaign.results)
+        names = mut.list_figures(results, {})
+        options = {
+            "plan": self.campaign.plan,
+            "results": results,
+            "pictures": {
+                name: Picture(
+                    wide="data:image/svg+xml;base64,AA",
+                    narrow="data:image/svg+xml;base64,AA",
+                    description=description,
+                )
+                for name, (_, description, _) in names.items()
+            },
+            "parameters": [("C_dC", dict.fromkeys(campaign_sensings(), "0.3"))],
+            "latencies": {"tof": {"mask": 0.002, "control_tick": 0.008}},
+            "command": "tofssm experiments --out <here>",
+            "failures": {},
+        }
+        page = mut.make_campaign_report(**(options | changes))
+        checker = _Checker()
+        checker.feed(page)
+        self.assertEqual(checker.stack, [])
+        return page, checker, _read(page)
+
+    def test_self_contained(self):
+        page, checker, _ = self.make()
+        for link in checker.links:
+            self.assertRegex(link, r"^(data:image/svg\+xml;base64,|#\w+$)")
+            if link.startswith("#"):
+                self.assertIn(link[1:], checker.ids)
+        self.assertTrue(all(checker.alt))
+        self.assertNotIn("<script", page)
+
+    def test_tells_everything(self):
+        _, _, text = self.make()
+        for claim in check_claims(self.campaign.results):
+            self.assertIn(claim.text, text)
+        for cell in self.campaign.plan.cells:
+            if not cell.variant:
+                self.assertIn(cell.label, text)
+        for trial in self.campaign.plan.trials:
+            self.assertIn(str(trial.seed), text)
+        for group in mut.METRICS.values():
+            for metric in group:
+                self.assertIn(metric.label, text)
+        self.assertIn("tofssm experiments --out &lt;here&gt;", text)
+        self.assertIn("control tick", text)
+        self.assertIn("drake 1.51.1", text)
+        self.assertIn("What do the corrections of the printed law", text)
+
+    def test_failures_are_told(self):
+        label = PlannedRun(
+            cell=self.campaign.plan.cells[0],
+            trial=self.campaign.plan.trials[0],
+        ).label
+        _, _, text = self.make(failures={label: "out of <memory>"})
+        self.assertIn("1 of 31 runs failed", text)
+        self.assertIn(f"{label}: out of &lt;memory&gt;", text)
+
+    def test_contacts_are_told(self):
+        for row in self.campaign.rows.values():
+            row["contacts_while_moving"] = 0.0
+        _, _, text = self.make()
+        # Variants are no part of it: 12 cells, 2 trials.
+        self.assertIn("touched nobody in 24 runs", text)
+        self.assertIn("below 11.7 % per run", text)
+        self.campaign.rows["tof-vo-2"]["contacts_while_moving"] = 3.0
+        _, _, text = self.make(results=self.campaign.results)
+        self.assertIn("In 1 of 24 runs the moving robot touched", text)
+
+    def test_nothing_came_out(self):
+        _, _, text = self.make(results=Results([]), failures={"all": "broken"})
+        self.assertIn("Of 0 claims", text)
+
+    def test_written_whole(self):
+        plan = make_plan(
+            seed=0,
+            trials=1,
+            sensings=["tof"],
+            configurations=["vo"],
+            variants=[],
+            scenario={},
+        )
+        run = make_rich_run(3.0)
+        rows = make_rows(plan, make_values(run))
+        with tempfile.TemporaryDirectory() as name:
+            folder = Path(name)
+            for planned in plan.list_runs()[1:]:
+                where = get_run_folder(folder, planned)
+                where.mkdir(parents=True)
+                write_samples(run, where)
+                (where / "row.parquet").touch()
+            path = mut.write_campaign_report(
+                folder,
+                plan=plan,
+                rows=make_results(plan, rows),
+                parameters=[("C_dC", {"tof": "0.3 m"})],
+                command="tofssm experiments",
+            )
+            names = sorted(p.name for p in (folder / "figures").iterdir())
+            self.assertEqual(len(names), 2 * 6)
+            for file in (folder / "figures").iterdir():
+                start = file.read_bytes()[:4]
+                self.assertIn(start, (b"<?xm", b"\x89PNG"))
+            page = path.read_text("utf-8")
+            self.assertTrue(page.rstrip().endswith("</html>"))
+            self.assertLess(len(page), 3_000_000)
+
+
+class TestTables(unittest.TestCase):
+    def test_latency(self):
+        rows = mut.make_latency_table(
+            {"tof": {"wait": 0.024, "tick": 0.008}, "ideal": {"tick": 0.008}}
+        )
+        self.assertEqual(
+            rows,
+            [
+                ("wait", {"tof": "24", "ideal": "\u2013"}),
+                ("tick", {"tof": "8", "ideal": "8"}),
+                ("sum", {"tof": "32", "ideal": "8"}),
+            ],
+        )
+
+    def test_differences(self):
+        campaign = _Campaign()
+        pairs = mut.list_pairs(campaign.results)
+        self.assertEqual(len(pairs["sensing"]), 6)
+        self.assertEqual(len(pairs["configuration"]), 8)
+        self.assertEqual(len(pairs["sixteen"]), 3)
+        self.assertEqual(pairs["literal"], [])
+        vo = Cell(sensing="tof", configuration="vo")
+        vr = Cell(sensing="tof", configuration="vr")
+        table = mut.make_difference_table(
+            campaign.results, [(vr, vo)], mut.METRICS["Productivity"][:2]
+        )
+        (row,) = table["rows"]
+        self.assertEqual(row[0], "Real Vr \u2212 Real Vo")
+        self.assertEqual(row[1][0], ("+5.0 \u00b1 0.0", True))
+        self.assertEqual(row[1][1], ("+0.0 \u00b1 0.0", False))
+
+    def test_a_study_is_told_by_its_cells(self):
+        campaign = _Campaign(variants=["late"])
+        pairs = mut.list_pairs(campaign.results)["late"]
+        table = mut.make_difference_table(campaign.results, pairs, [])
+        labels = [label for label, _ in table["rows"]]
+        self.assertEqual(labels, ["Ideal Vo", "Ideal Vr", "Ideal SM"])
+
+    def test_unknown_numbers_are_dashes(self):
+        campaign = _Campaign()
+        for row in campaign.rows.values():
+            row["task_time_s"] = math.nan
+        table = mut.make_cell_table(
+            campaign.results,
+            campaign.plan.cells[:1],
+            mut.METRICS["Productivity"][1:2],
+        )
+        self.assertEqual(table["rows"][0][1], ["\u2013"])
+
+
+def campaign_sensings():
+    return ("tof", "ideal", "lidar", "tof16")
+
+
+if __name__ == "__main__":
+    unittest.main()

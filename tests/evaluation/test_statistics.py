@@ -1,0 +1,99 @@
+import math
+import unittest
+
+from hypothesis import given
+from hypothesis import strategies as st
+import numpy as np
+from scipy import stats
+
+import tofssm_drake.evaluation.statistics as mut
+
+
+class TestEstimate(unittest.TestCase):
+    def test_quantiles_are_students(self):
+        for nu in (1, 2, 3, 4, 9, 30, 200):
+            for confidence in (0.5, 0.95, 0.99):
+                expected = stats.t.ppf(0.5 + confidence / 2, nu)
+                self.assertAlmostEqual(
+                    mut.calc_t_quantile(nu, confidence) / expected,
+                    1.0,
+                    delta=1e-6,
+                )
+
+    def test_interval_against_scipy(self):
+        values = [0.2, 0.5, 0.1, 0.9, 0.4]
+        value = mut.calc_estimate(values)
+        low, high = stats.t.interval(
+            0.95, 4, loc=np.mean(values), scale=stats.sem(values)
+        )
+        self.assertAlmostEqual(value.low, low, places=7)
+        self.assertAlmostEqual(value.high, high, places=7)
+        self.assertEqual(value.count, 5)
+
+    def test_few_values(self):
+        none = mut.calc_estimate([math.nan])
+        self.assertEqual(none.count, 0)
+        self.assertTrue(math.isnan(none.mean))
+        one = mut.calc_estimate([3.0, math.nan])
+        self.assertEqual((one.mean, one.count), (3.0, 1))
+        self.assertTrue(math.isnan(one.half_width))
+        same = mut.calc_estimate([2.0, 2.0, 2.0])
+        self.assertEqual((same.low, same.high), (2.0, 2.0))
+
+    def test_paired_difference_uses_the_trials_of_both(self):
+        first = {1: 5.0, 2: 7.0, 3: 100.0}
+        second = {2: 4.0, 1: 3.0, 4: -100.0}
+        value = mut.calc_paired_difference(first, second)
+        self.assertEqual((value.mean, value.count), (2.5, 2))
+
+    @given(shift=st.floats(-5, 5), seed=st.integers(0, 99))
+    def test_pairing_takes_out_what_trials_share(self, shift, seed):
+        rng = np.random.default_rng(seed)
+        people = dict(enumerate(rng.normal(0.0, 10.0, 5)))
+        moved = {trial: value + shift for trial, value in people.items()}
+        value = mut.calc_paired_difference(moved, people)
+        self.assertAlmostEqual(value.mean, shift)
+        self.assertLess(value.half_width, 1e-9)
+
+
+class TestEllipse(unittest.TestCase):
+    def test_covers_the_mean_as_often_as_it_says(self):
+        rng = np.random.default_rng(1)
+        mix = np.array([[2.0, 0.5], [0.3, 0.1]])
+        inside = 0
+        for _ in range(1000):
+            x, y = mix @ rng.normal(size=(2, 5)) + [[3.0], [-1.0]]
+            ellipse = mut.calc_confidence_ellipse(x, y)
+            dx, dy = 3.0 - ellipse.centre[0], -1.0 - ellipse.centre[1]
+            c, s = math.cos(ellipse.angle), math.sin(ellipse.angle)
+            u = (c * dx + s * dy) / ellipse.half_axes[0]
+            v = (-s * dx + c * dy) / ellipse.half_axes[1]
+            inside += u * u + v * v <= 1.0
+        # Three standard deviations of a binomial count.
+        self.assertAlmostEqual(inside / 1000, 0.95, delta=0.021)
+
+    def test_axes(self):
+        x = np.array([-2.0, 2.0, 0.0, 0.0])
+        y = np.array([0.0, 0.0, -1.0, 1.0])
+        ellipse = mut.calc_confidence_ellipse(x, y)
+        self.assertEqual(ellipse.centre, (0.0, 0.0))
+        self.assertAlmostEqual(math.sin(ellipse.angle), 0.0)
+        f = stats.f.ppf(0.95, 2, 2)
+        expected = math.sqrt(2 * 3 / (4 * 2) * f * np.var(x, ddof=1))
+        self.assertAlmostEqual(ellipse.half_axes[0], expected)
+        self.assertAlmostEqual(ellipse.half_axes[1], expected / 2)
+
+    def test_too_few_pairs(self):
+        nan = math.nan
+        self.assertIsNone(mut.calc_confidence_ellipse([1, 2], [3, 4]))
+        self.assertIsNone(mut.calc_confidence_ellipse([1, 2, nan], [3, 4, 5]))
+
+
+class TestRateBound(unittest.TestCase):
+    def test_worked_numbers(self):
+        self.assertAlmostEqual(mut.calc_rate_bound(45), 0.064, places=3)
+        self.assertAlmostEqual(mut.calc_rate_bound(299), 0.01, places=4)
+
+
+if __name__ == "__main__":
+    unittest.main()

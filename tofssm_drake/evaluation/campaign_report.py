@@ -1,0 +1,699 @@
+"""The report of a campaign: a single file that any browser opens, offline."""
+
+import dataclasses as dc
+import math
+from pathlib import Path
+
+from tofssm_drake.evaluation import campaign_figures, figures
+from tofssm_drake.evaluation.campaign import (
+    VARIANTS,
+    Cell,
+    Plan,
+    get_run_folder,
+)
+from tofssm_drake.evaluation.claims import (
+    NOT_REPRODUCED,
+    NOT_RUN,
+    REPRODUCED,
+    UNDECIDED,
+    Claim,
+    check_claims,
+    format_estimate,
+)
+from tofssm_drake.evaluation.page import Picture, render_page
+from tofssm_drake.evaluation.results import Results
+from tofssm_drake.evaluation.samples import (
+    Samples,
+    read_samples,
+    write_atomically,
+)
+from tofssm_drake.evaluation.statistics import calc_rate_bound
+
+_NONE = "\u2013"
+_MARK = {
+    REPRODUCED: "\u2713",
+    NOT_REPRODUCED: "\u2717",
+    UNDECIDED: "?",
+    NOT_RUN: _NONE,
+}
+_KINDS = ("tcp_speed", "true_distance", "measured_distance")
+
+
+@dc.dataclass(frozen=True, kw_only=True)
+class Metric:
+    """A column of the tables."""
+
+    name: str
+    """Of the results' column."""
+    label: str
+    unit: str
+    digits: int = 2
+    scale: float = 1.0
+
+
+METRICS = {
+    "Safety": (
+        Metric(
+            name="velocity_change_at_stop_mps",
+            label="velocity change at stop",
+            unit="m/s",
+        ),
+        Metric(
+            name="separation_at_stop_m", label="separation at stop", unit="m"
+        ),
+        Metric(
+            name="separation_at_reduce_m",
+            label="separation at reduce",
+            unit="m",
+        ),
+        Metric(name="mean_true_distance_m", label="mean separation", unit="m"),
+        Metric(
+            name="safety_mean_m2_per_mps",
+            label="safety metric, mean",
+            unit="m\u00b2/(m/s)",
+        ),
+        Metric(
+            name="safety_ratio_of_means_m2_per_mps",
+            label="ratio of means",
+            unit="m\u00b2/(m/s)",
+        ),
+        Metric(
+            name="safety_median_m2_per_mps",
+            label="median",
+            unit="m\u00b2/(m/s)",
+        ),
+        Metric(
+            name="contacts_while_moving",
+            label="contacts while moving",
+            unit="per run",
+        ),
+    ),
+    "Performance": (
+        Metric(name="time_to_stop_s", label="time to stop", unit="s", digits=3),
+        Metric(
+            name="time_to_reduce_s", label="time to reduce", unit="s", digits=3
+        ),
+        Metric(name="reaction_time_s", label="reaction time", unit="s"),
+        Metric(
+            name="missed_events",
+            label="missed",
+            unit="per run",
+            digits=1,
+        ),
+        Metric(
+            name="false_events", label="false stops", unit="per run", digits=1
+        ),
+        Metric(
+            name="state_changes_per_episode",
+            label="state changes",
+            unit="per episode",
+            digits=1,
+        ),
+        Metric(
+            name="distance_rmse_centre_m",
+            label="RMSE, from centre",
+            unit="mm",
+            digits=0,
+            scale=1000.0,
+        ),
+        Metric(
+            name="distance_rmse_surface_m",
+            label="RMSE, from surface",
+            unit="mm",
+            digits=0,
+            scale=1000.0,
+        ),
+        Metric(
+            name="detection_share",
+            label="seen while in range",
+            unit="%",
+            digits=0,
+            scale=100.0,
+        ),
+    ),
+    "Productivity": (
+        Metric(
+            name="productivity",
+            label="productivity",
+            unit="%",
+            digits=1,
+            scale=100.0,
+        ),
+        Metric(name="task_time_s", label="task time", unit="s", digits=1),
+        Metric(name="stopped_s", label="stopped", unit="s", digits=1),
+        Metric(name="reduced_s", label="reduced", unit="s", digits=1),
+        Metric(
+            name="products_placed",
+            label="products placed",
+            unit="",
+            digits=1,
+        ),
+    ),
+}
+"""The paper's evaluation metric (its first table): criteria and columns."""
+
+AUDIT_METRICS = (
+    Metric(
+        name="shortfall_walking_in_p50_m",
+        label="shortfall, walking in: median",
+        unit="m",
+    ),
+    Metric(name="shortfall_walking_in_max_m", label="worst", unit="m"),
+    Metric(
+        name="shortfall_walking_in_share",
+        label="time too short",
+        unit="%",
+        digits=0,
+        scale=100.0,
+    ),
+    Metric(
+        name="shortfall_as_measured_p50_m",
+        label="as measured: median",
+        unit="m",
+    ),
+    Metric(name="shortfall_as_measured_max_m", label="worst", unit="m"),
+    Metric(
+        name="shortfall_as_measured_share",
+        label="time too short",
+        unit="%",
+        digits=0,
+        scale=100.0,
+    ),
+    Metric(
+        name="inside_protective_s",
+        label="not told to stop inside S_p",
+        unit="s per run",
+        digits=1,
+    ),
+    Metric(
+        name="latency_over_T_R_s",
+        label="worst latency over T_R",
+        unit="ms",
+        digits=0,
+        scale=1000.0,
+    ),
+    Metric(
+        name="ur10_stop_over_T_stop_s",
+        label="UR10's stop over T_stop",
+        unit="ms",
+        digits=0,
+        scale=1000.0,
+    ),
+)
+"""Columns of the audit's table."""
+
+_COMPARED = (
+    "productivity",
+    "safety_mean_m2_per_mps",
+    "velocity_change_at_stop_mps",
+    "separation_at_stop_m",
+    "reaction_time_s",
+    "contacts_while_moving",
+    "state_changes_per_episode",
+    "distance_rmse_surface_m",
+    "detection_share",
+)
+_BY_NAME = {m.name: m for group in METRICS.values() for m in group}
+
+
+def make_cell_table(results: Results, cells, metrics) -> dict:
+    """Returns a table with a row per cell: mean with interval.
+
+    Args:
+        results: Of the campaign.
+        cells: Rows.
+        metrics: Columns.
+
+    Returns:
+        `head`, pairs (label, unit), and `rows`, pairs (cell, texts).
+    """
+    return {
+        "head": [(m.label, m.unit) for m in metrics],
+        "rows": [
+            (
+                cell,
+                [_format(results.estimate(cell, m.name), m) for m in metrics],
+            )
+            for cell in cells
+        ],
+    }
+
+
+def make_difference_table(results: Results, pairs, metrics) -> dict:
+    """Returns a table of paired differences.
+
+    Args:
+        results: Of the campaign.
+        pairs: (first, second) cells; a row is first - second.
+        metrics: Columns.
+
+    Returns:
+        `head` as in `make_cell_table`, and `rows`, pairs (label, entries) of
+        which each is (text, whether 0 is outside of the interval).
+    """
+    rows = []
+    for first, second in pairs:
+        entries = []
+        for m in metrics:
+            value = results.difference(first, second, m.name)
+            clear = value.low > 0.0 or value.high < 0.0
+            entries.append((_format(value, m, sign=True), clear))
+        label = f"{first.label} \u2212 {second.label}"
+        if first == dc.replace(second, variant=first.variant):
+            # The table is about the variant.
+            label = second.label
+        rows.append((label, entries))
+    return {"head": [(m.label, m.unit) for m in metrics], "rows": rows}
+
+
+def _format(value, metric, *, sign=False):
+    scaled = dc.replace(
+        value,
+        mean=value.mean * metric.scale,
+        half_width=value.half_width * metric.scale,
+    )
+    return format_estimate(scaled, digits=metric.digits, sign=sign)
+
+
+def list_pairs(results: Results) -> dict[str, list[tuple[Cell, Cell]]]:
+    """Returns the pairs of cells that are worth comparing, by what differs.
+
+    Only pairs of which both were run.
+    """
+    cells = results.cells
+    plain = [cell for cell in cells if not cell.variant]
+
+    def known(pairs):
+        return [(a, b) for a, b in pairs if a in cells and b in cells]
+
+    return {
+        "sensing": known(
+            (cell, dc.replace(cell, sensing="tof"))
+            for cell in plain
+            if cell.sensing in ("ideal", "lidar")
+        ),
+        "configuration": known(
+            (cell, dc.replace(cell, configuration="vo"))
+            for cell in plain
+            if cell.configuration != "vo"
+        ),
+        "sixteen": known(
+            (cell, dc.replace(cell, sensing="tof"))
+            for cell in plain
+            if cell.sensing == "tof16"
+        ),
+        **{
+            key: known(
+                (cell, dc.replace(cell, variant=""))
+                for cell in cells
+                if cell.variant == key
+            )
+            for key in VARIANTS
+        },
+    }
+
+
+def make_claim_row(claim: Claim) -> dict:
+    """Returns what the report shows of a claim."""
+    digits = 3
+    return {
+        "text": claim.text,
+        "verdict": claim.verdict,
+        "kind": {
+            REPRODUCED: "good",
+            NOT_REPRODUCED: "bad",
+            UNDECIDED: "open",
+            NOT_RUN: "none",
+        }[claim.verdict],
+        "unit": claim.unit,
+        "note": claim.note,
+        "why": claim.why,
+        "evidence": [
+            {
+                "what": e.what,
+                "value": format_estimate(
+                    e.estimate, digits=digits, sign="\u2212" in e.what
+                ),
+                "verdict": e.verdict,
+                "mark": _MARK[e.verdict],
+            }
+            for e in claim.evidence
+        ],
+    }
+
+
+def make_verdict(
+    results: Results, found: list[Claim], failures: dict[str, str]
+) -> list[tuple[str, str]]:
+    """Says in plain words what came out.
+
+    Args:
+        results: Of the campaign.
+        found: The claims.
+        failures: Reason by the label of the run that failed.
+
+    Returns:
+        (grade, sentence) pairs; grade is `good`, `bad` or `note`.
+    """
+    verdict = []
+    count = {
+        kind: sum(claim.verdict == kind for claim in found)
+        for kind in (REPRODUCED, NOT_REPRODUCED, UNDECIDED, NOT_RUN)
+    }
+    judged = len(found) - count[NOT_RUN]
+    verdict.append(
+        (
+            "note",
+            f"Of {judged} claims of the paper that this campaign can judge, "
+            f"{count[REPRODUCED]} are reproduced, {count[NOT_REPRODUCED]} are "
+            f"not, and {count[UNDECIDED]} are undecided.",
+        )
+    )
+    runs = results.count_runs()
+    plain = [cell for cell in results.cells if not cell.variant]
+    contacts = results.total("contacts_while_moving", plain)
+    with_contact = sum(
+        value > 0
+        for cell in plain
+        for value in results.values(cell, "contacts_while_moving").values()
+    )
+    plain_runs = sum(len(results.values(cell, "finished")) for cell in plain)
+    if contacts:
+        verdict.append(
+            (
+                "bad",
+                f"In {with_contact} of {plain_runs} runs the moving robot "
+                f"touched the person ({contacts:.0f} contacts). Runs with a "
+                f"contact: {_count_by_configuration(results, plain)}.",
+            )
+        )
+    elif plain_runs:
+        bound = 100 * calc_rate_bound(plain_runs)
+        verdict.append(
+            (
+                "good",
+                f"The moving robot touched nobody in {plain_runs} runs. That "
+                f"only bounds the rate of contacts below {bound:.1f} % per "
+                "run, with 95 % confidence.",
+            )
+        )
+    unfinished = runs - results.total("finished")
+    if unfinished:
+        verdict.append(
+            (
+                "note",
+                f"In {unfinished:.0f} of {runs} runs the task was not "
+                "finished when the time was up; their productivity is that "
+                "of the part that was done.",
+            )
+        )
+    if failures:
+        verdict.append(
+            (
+                "bad",
+                f"{len(failures)} of {runs + len(failures)} runs failed and "
+                "are missing in what follows.",
+            )
+        )
+    return verdict
+
+
+def _count_by_configuration(results, cells):
+    """Returns how many runs had a contact, by configuration."""
+    parts = []
+    for c, name in campaign_figures.CONFIGURATION_NAME.items():
+        values = [
+            value
+            for cell in cells
+            if cell.configuration == c
+            for value in results.values(cell, "contacts_while_moving").values()
+        ]
+        if values:
+            touched = sum(value > 0 for value in values)
+            parts.append(f"{name} {touched} of {len(values)}")
+    return ", ".join(parts)
+
+
+def list_figures(
+    results: Results, samples: dict[Cell, Samples]
+) -> dict[str, tuple]:
+    """Returns how to draw each figure: (function, description, arguments).
+
+    Args:
+        results: Of the campaign.
+        samples: One run of each cell without a variant.
+    """
+    nine = {
+        cell: run for cell, run in samples.items() if cell.sensing != "tof16"
+    }
+    over_time = {
+        cell: run for cell, run in nine.items() if cell.configuration == "vo"
+    }
+    return {
+        "fig09_distance": (
+            campaign_figures.make_distance_figure,
+            "Measured against true distance over time for each sensing, and "
+            "bars of their errors.",
+            (results, over_time or nine),
+        ),
+        "fig10_productivity_safety": (
+            campaign_figures.make_productivity_figure,
+            "Productivity against safety metric: mean and confidence ellipse "
+            "of each cell, and every run as a faint point.",
+            (results,),
+        ),
+        "fig11_response": (
+            campaign_figures.make_response_figure,
+            "Tool speed and measured distance over time, a panel per cell.",
+            (nine,),
+        ),
+        "fig11_phase": (
+            campaign_figures.make_phase_figure,
+            "How often which tool speed at which measured distance, a panel "
+            "per cell.",
+            (nine,),
+        ),
+        "audit_shortfall": (
+            campaign_figures.make_audit_figure,
+            "For each cell by how much its critical distance is shorter than "
+            "the protective separation distance of ISO/TS 15066.",
+            (results,),
+        ),
+        "fig12_radars": (
+            campaign_figures.make_radar_figure,
+            "Four radars: reaction time, times to stop and to reduce, tool "
+            "speed at a stop, separation at events. The numbers are in the "
+            "table beside.",
+            (results,),
+        ),
+    }
+
+
+def read_first_runs(folder: Path, plan: Plan) -> dict[Cell, Samples]:
+    """Reads what the figures need of one run of each cell without a variant.
+
+    The first trial that is there; cells without any are left out.
+    """
+    samples = {}
+    for run in plan.list_runs():
+        wanted = run.trial is not None and not run.cell.variant
+        if not wanted or run.cell in samples:
+            continue
+        where = get_run_folder(folder, run)
+        if (where / "row.parquet").exists():
+            samples[run.cell] = read_samples(where, _KINDS)
+    return {cell: samples[cell] for cell in plan.cells if cell in samples}
+
+
+def find_latencies(
+    samples: dict[Cell, Samples],
+) -> dict[str, dict[str, float]]:
+    """Returns the parts of the worst latency, s, by sensing."""
+    latencies = {}
+    for cell, run in samples.items():
+        audit = run.metadata.get("audit") or {}
+        if "latency_s" in audit:
+            latencies.setdefault(cell.sensing, audit["latency_s"])
+    return latencies
+
+
+def make_latency_table(
+    latencies: dict[str, dict[str, float]],
+) -> list[tuple[str, dict[str, str]]]:
+    """Returns rows (part, text by sensing), in ms, the sum last."""
+    parts = list(dict.fromkeys(p for of in latencies.values() for p in of))
+    rows = [
+        (
+            part,
+            {
+                sensing: f"{1000 * of[part]:.0f}" if part in of else _NONE
+                for sensing, of in latencies.items()
+            },
+        )
+        for part in parts
+    ]
+    if rows:
+        sums = {
+            s: f"{1000 * sum(of.values()):.0f}" for s, of in latencies.items()
+        }
+        rows.append(("sum", sums))
+    return rows
+
+
+def write_campaign_report(
+    folder: Path,
+    *,
+    plan: Plan,
+    rows: list[dict],
+    parameters: list[tuple[str, dict[str, str]]],
+    command: str,
+    failures: dict[str, str] | None = None,
+) -> Path:
+    """Writes report.html, and the figures as SVG and PNG, each file whole.
+
+    Args:
+        folder: The campaign's.
+        plan: The campaign's.
+        rows: What `make_results` returned.
+        parameters: Rows of the table of parameters: name, and value by
+            sensing.
+        command: What makes the campaign again.
+        failures: Reason by the label of the run that failed.
+
+    Returns:
+        The report's path.
+
+    Raises:
+        UserError: The folder can not be written.
+    """
+    results = Results(rows)
+    samples = read_first_runs(folder, plan)
+    drawn = list_figures(results, samples)
+    where = Path(folder) / "figures"
+    where.mkdir(exist_ok=True)
+    pictures = {}
+    for name, (make, description, arguments) in drawn.items():
+        figure = make(*arguments)
+        svg, png = figures.to_svg(figure), figures.to_png(figure)
+        pictures[name] = Picture(
+            wide=figures.encode_svg(svg),
+            narrow=figures.to_data_uri(make(*arguments, narrow=True)),
+            description=description,
+        )
+        write_atomically(
+            where / f"{name}.svg", lambda p, svg=svg: p.write_text(svg)
+        )
+        write_atomically(
+            where / f"{name}.png", lambda p, png=png: p.write_bytes(png)
+        )
+    page = make_campaign_report(
+        plan=plan,
+        results=results,
+        pictures=pictures,
+        parameters=parameters,
+        latencies=find_latencies(samples),
+        command=command,
+        failures=failures or {},
+    )
+    path = Path(folder) / "report.html"
+    write_atomically(path, lambda p: p.write_text(page, "utf-8"))
+    return path
+
+
+def make_campaign_report(
+    *,
+    plan: Plan,
+    results: Results,
+    pictures: dict,
+    parameters: list[tuple[str, dict[str, str]]],
+    latencies: dict[str, dict[str, float]],
+    command: str,
+    failures: dict[str, str],
+) -> str:
+    """Returns the report as one HTML document.
+
+    Args:
+        plan: See `write_campaign_report`.
+        results: Of the campaign.
+        pictures: By the name that `list_figures` gives them.
+        parameters: See `write_campaign_report`.
+        latencies: From `find_latencies`.
+        command: See `write_campaign_report`.
+        failures: See `write_campaign_report`.
+    """
+    found = check_claims(results)
+    plain = [cell for cell in results.cells if not cell.variant]
+    pairs = list_pairs(results)
+    compared = [_BY_NAME[name] for name in _COMPARED]
+    sensings = list(dict.fromkeys(cell.sensing for cell in plain))
+    return render_page(
+        "campaign.html.jinja",
+        trials=len(results.trials),
+        runs=results.count_runs(),
+        verdict=make_verdict(results, found, failures),
+        claims=[make_claim_row(claim) for claim in found],
+        pictures=pictures,
+        tables={
+            name: make_cell_table(results, plain, metrics)
+            for name, metrics in METRICS.items()
+        },
+        radar_table=make_cell_table(
+            results,
+            plain,
+            [
+                _BY_NAME[metric]
+                for _, curves in campaign_figures.RADARS
+                for metric, _ in curves
+            ],
+        ),
+        audit=make_cell_table(results, plain, AUDIT_METRICS),
+        has_audit=any(
+            results.estimate(cell, AUDIT_METRICS[0].name).count
+            for cell in plain
+        ),
+        latencies=make_latency_table(latencies),
+        sensings=[(s, campaign_figures.SENSING_NAME[s]) for s in sensings],
+        parameters=parameters,
+        differences={
+            name: make_difference_table(results, rows, compared)
+            for name, rows in pairs.items()
+            if rows
+        },
+        studies=list(VARIANTS.values()),
+        people=_make_people(plan),
+        alone=_format_alone(results),
+        versions=plan.versions,
+        command=command,
+        seed=plan.seed,
+        failures=failures,
+    )
+
+
+def _format_alone(results):
+    if results.alone is None:
+        return None
+    time = results.alone["task_time_s"]
+    return f"{time:.1f} s" if math.isfinite(time) else _NONE
+
+
+def _make_people(plan):
+    """Rows of the table of trials."""
+    motions = list(plan.motions)
+    return [
+        {
+            "number": trial.number,
+            "seed": trial.seed,
+            "who": (
+                motions[(trial.number - 1) % len(motions)]
+                if motions
+                else f"{trial.stature:.2f} m tall, {trial.speed:.2f} m/s"
+            ),
+            "start": f"{100 * trial.start:.0f} %",
+            "direction": "reverse" if trial.reverse else "forward",
+            "shift": f"{trial.centre[0]:+.2f}, {trial.centre[1]:+.2f}".replace(
+                "-", "\u2212"
+            ),
+            "size": f"{trial.half_length:.2f} \u00d7 {trial.half_width:.2f}",
+        }
+        for trial in plan.trials
+    ]
