@@ -298,33 +298,16 @@ def _pose_bundle(X_WF, shapes, s, X_WS, X_WG, near, q):
 
 
 @njit(cache=True, error_model="numpy", forceinline=True)
-def _is_inside(shapes, planes, nodes, triangles, s, px, py, pz, p):
-    """Returns whether a point in G is in shape s; p is scratch space."""
-    if (
-        (px < shapes[s, LOW])
-        | (px > shapes[s, HIGH])
-        | (py < shapes[s, LOW + 1])
-        | (py > shapes[s, HIGH + 1])
-        | (pz < shapes[s, LOW + 2])
-        | (pz > shapes[s, HIGH + 2])
-    ):
-        return False
-    kind = int(shapes[s, KIND])
-    if kind < CONVEX:
-        return is_in_primitive(
-            kind,
-            px,
-            py,
-            pz,
-            shapes[s, SIZE],
-            shapes[s, SIZE + 1],
-            shapes[s, SIZE + 2],
-        )
-    part, parts = int(shapes[s, DATA]), int(shapes[s, DATA + 1])
-    p[0], p[1], p[2] = px, py, pz
-    if kind == CONVEX:
-        return is_inside_convex(planes, part, parts, p)
-    return parts == 1 and is_inside_mesh(nodes, triangles, part, p)
+def _is_in_box(shapes, s, x, y, z):
+    """Returns whether a point in G is in the box around shape s."""
+    return (
+        (x >= shapes[s, LOW])
+        & (x <= shapes[s, HIGH])
+        & (y >= shapes[s, LOW + 1])
+        & (y <= shapes[s, HIGH + 1])
+        & (z >= shapes[s, LOW + 2])
+        & (z <= shapes[s, HIGH + 2])
+    )
 
 
 @njit(cache=True, error_model="numpy")
@@ -340,102 +323,6 @@ def _sort(order, key, n):
             order[j] = order[j - 1]
             j -= 1
         order[j] = this
-
-
-@njit(cache=True, error_model="numpy", forceinline=True)
-def _cast_fan(
-    shapes,
-    planes,
-    nodes,
-    triangles,
-    s,
-    near,
-    q,
-    fan,
-    first,
-    last,
-    best,
-    t,
-    p,
-    stack,
-):
-    """Writes the distances t of a fan's rays first to last to shape s.
-
-    Args:
-        shapes: See the module.
-        planes: The same.
-        nodes: The same.
-        triangles: The same.
-        s: The shape.
-        near: See NEAR_P.
-        q: The shape's row there; the origin is outside of it.
-        fan: See cast_bundles.
-        first: The first ray.
-        last: The one behind the last.
-        best: Hits beyond these distances may be left out.
-        t: Written, inf for a miss.
-        p: Scratch space, (3,).
-        stack: Scratch space, see cast_mesh.
-    """
-    kind = int(shapes[s, KIND])
-    a, b, c = shapes[s, SIZE], shapes[s, SIZE + 1], shapes[s, SIZE + 2]
-    part, parts = int(shapes[s, DATA]), int(shapes[s, DATA + 1])
-    px, py, pz = near[q, NEAR_P], near[q, NEAR_P + 1], near[q, NEAR_P + 2]
-    xx, xy, xz = near[q, NEAR_R], near[q, NEAR_R + 1], near[q, NEAR_R + 2]
-    yx, yy, yz = near[q, NEAR_R + 3], near[q, NEAR_R + 4], near[q, NEAR_R + 5]
-    zx, zy, zz = near[q, NEAR_R + 6], near[q, NEAR_R + 7], near[q, NEAR_R + 8]
-    p[0], p[1], p[2] = px, py, pz
-    # A loop for each kind: a compiler takes several rays at a time.
-    if kind == SPHERE:
-        for j in range(first, last):
-            dx = xx * fan[0, j] + xy * fan[1, j] + xz * fan[2, j]
-            dy = yx * fan[0, j] + yy * fan[1, j] + yz * fan[2, j]
-            dz = zx * fan[0, j] + zy * fan[1, j] + zz * fan[2, j]
-            t[j] = cast_sphere(px, py, pz, dx, dy, dz, a)
-    elif kind == CAPSULE:
-        for j in range(first, last):
-            dx = xx * fan[0, j] + xy * fan[1, j] + xz * fan[2, j]
-            dy = yx * fan[0, j] + yy * fan[1, j] + yz * fan[2, j]
-            dz = zx * fan[0, j] + zy * fan[1, j] + zz * fan[2, j]
-            t[j] = cast_capsule(px, py, pz, dx, dy, dz, a, b)
-    elif kind == CYLINDER:
-        for j in range(first, last):
-            dx = xx * fan[0, j] + xy * fan[1, j] + xz * fan[2, j]
-            dy = yx * fan[0, j] + yy * fan[1, j] + yz * fan[2, j]
-            dz = zx * fan[0, j] + zy * fan[1, j] + zz * fan[2, j]
-            t[j] = cast_cylinder(px, py, pz, dx, dy, dz, a, b)
-    elif kind == BOX:
-        for j in range(first, last):
-            dx = xx * fan[0, j] + xy * fan[1, j] + xz * fan[2, j]
-            dy = yx * fan[0, j] + yy * fan[1, j] + yz * fan[2, j]
-            dz = zx * fan[0, j] + zy * fan[1, j] + zz * fan[2, j]
-            t[j] = cast_box(px, py, pz, dx, dy, dz, a, b, c)
-    elif kind == HALF_SPACE:
-        for j in range(first, last):
-            dz = zx * fan[0, j] + zy * fan[1, j] + zz * fan[2, j]
-            t[j] = cast_half_space(pz, dz)
-    elif kind == ELLIPSOID:
-        for j in range(first, last):
-            dx = xx * fan[0, j] + xy * fan[1, j] + xz * fan[2, j]
-            dy = yx * fan[0, j] + yy * fan[1, j] + yz * fan[2, j]
-            dz = zx * fan[0, j] + zy * fan[1, j] + zz * fan[2, j]
-            t[j] = cast_ellipsoid(px, py, pz, dx, dy, dz, a, b, c)
-    elif kind == CONVEX:
-        for j in range(first, last):
-            dx = xx * fan[0, j] + xy * fan[1, j] + xz * fan[2, j]
-            dy = yx * fan[0, j] + yy * fan[1, j] + yz * fan[2, j]
-            dz = zx * fan[0, j] + zy * fan[1, j] + zz * fan[2, j]
-            t[j], _ = cast_convex(planes, part, parts, p, dx, dy, dz)
-    else:
-        for j in range(first, last):
-            dx = xx * fan[0, j] + xy * fan[1, j] + xz * fan[2, j]
-            dy = yx * fan[0, j] + yy * fan[1, j] + yz * fan[2, j]
-            dz = zx * fan[0, j] + zy * fan[1, j] + zz * fan[2, j]
-            # One more than the best: a hit at the same distance may count.
-            limit = np.nextafter(best[j], np.inf)
-            t[j], _ = cast_mesh(
-                nodes, triangles, part, p, dx, dy, dz, limit, stack
-            )
 
 
 @njit(cache=True, error_model="numpy")
@@ -554,26 +441,47 @@ def cast_bundles(X_WF, scene, bundles, active, which, fan, cones):
                     )
                     if enter == np.inf:
                         continue
-                    if enter == 0.0 and _is_inside(
-                        shapes,
-                        planes,
-                        nodes,
-                        triangles,
-                        child,
-                        near[num_near, NEAR_P],
-                        near[num_near, NEAR_P + 1],
-                        near[num_near, NEAR_P + 2],
-                        p_G,
-                    ):
-                        enter = -1.0
+                    if enter == 0.0:
+                        x, y, z = (
+                            near[num_near, 0],
+                            near[num_near, 1],
+                            near[num_near, 2],
+                        )
+                        kind = int(shapes[child, KIND])
+                        if not _is_in_box(shapes, child, x, y, z):
+                            inside = False
+                        elif kind < CONVEX:
+                            inside = is_in_primitive(
+                                kind,
+                                x,
+                                y,
+                                z,
+                                shapes[child, SIZE],
+                                shapes[child, SIZE + 1],
+                                shapes[child, SIZE + 2],
+                            )
+                        else:
+                            p_G[0], p_G[1], p_G[2] = x, y, z
+                            part = int(shapes[child, DATA])
+                            parts = int(shapes[child, DATA + 1])
+                            inside = (
+                                is_inside_convex(planes, part, parts, p_G)
+                                if kind == CONVEX
+                                else parts == 1
+                                and is_inside_mesh(nodes, triangles, part, p_G)
+                            )
+                        if inside:
+                            enter = -1.0
                     near_shape[num_near] = child
                     near_enter[num_near] = enter
                     order[num_near] = num_near
                     num_near += 1
         _sort(order, near_enter, num_near)
         # A hit at exactly the range counts, hence the next number.
-        best[:] = np.nextafter(reach, np.inf)
-        hit[:] = -1
+        limit = np.nextafter(reach, np.inf)
+        for j in range(k):
+            best[j] = limit
+            hit[j] = -1
         for g in range(1, 1 + groups):
             # Unsigned: a negative index would count from the end.
             first, last = np.uint64(cones[g, 5]), np.uint64(cones[g, 6])
@@ -594,22 +502,125 @@ def cast_bundles(X_WF, scene, bundles, active, which, fan, cones):
                         == np.inf
                     ):
                         continue
-                    _cast_fan(
-                        shapes,
-                        planes,
-                        nodes,
-                        triangles,
-                        s,
-                        near,
-                        q,
-                        fan,
-                        first,
-                        last,
-                        best,
-                        t,
-                        p_G,
-                        stack,
-                    )
+                    kind = int(shapes[s, KIND])
+                    a = shapes[s, SIZE]
+                    b = shapes[s, SIZE + 1]
+                    c = shapes[s, SIZE + 2]
+                    part, parts = int(shapes[s, DATA]), int(shapes[s, DATA + 1])
+                    px, py, pz = near[q, 0], near[q, 1], near[q, 2]
+                    xx, xy, xz = near[q, 3], near[q, 4], near[q, 5]
+                    yx, yy, yz = near[q, 6], near[q, 7], near[q, 8]
+                    zx, zy, zz = near[q, 9], near[q, 10], near[q, 11]
+                    p_G[0], p_G[1], p_G[2] = px, py, pz
+                    # A loop for each kind: a compiler takes several rays at
+                    # a time. No function: each table that is handed over
+                    # costs as much as two rays.
+                    if kind == SPHERE:
+                        for j in range(first, last):
+                            dx = (
+                                xx * fan[0, j] + xy * fan[1, j] + xz * fan[2, j]
+                            )
+                            dy = (
+                                yx * fan[0, j] + yy * fan[1, j] + yz * fan[2, j]
+                            )
+                            dz = (
+                                zx * fan[0, j] + zy * fan[1, j] + zz * fan[2, j]
+                            )
+                            t[j] = cast_sphere(px, py, pz, dx, dy, dz, a)
+                    elif kind == CAPSULE:
+                        for j in range(first, last):
+                            dx = (
+                                xx * fan[0, j] + xy * fan[1, j] + xz * fan[2, j]
+                            )
+                            dy = (
+                                yx * fan[0, j] + yy * fan[1, j] + yz * fan[2, j]
+                            )
+                            dz = (
+                                zx * fan[0, j] + zy * fan[1, j] + zz * fan[2, j]
+                            )
+                            t[j] = cast_capsule(px, py, pz, dx, dy, dz, a, b)
+                    elif kind == CYLINDER:
+                        for j in range(first, last):
+                            dx = (
+                                xx * fan[0, j] + xy * fan[1, j] + xz * fan[2, j]
+                            )
+                            dy = (
+                                yx * fan[0, j] + yy * fan[1, j] + yz * fan[2, j]
+                            )
+                            dz = (
+                                zx * fan[0, j] + zy * fan[1, j] + zz * fan[2, j]
+                            )
+                            t[j] = cast_cylinder(px, py, pz, dx, dy, dz, a, b)
+                    elif kind == BOX:
+                        for j in range(first, last):
+                            dx = (
+                                xx * fan[0, j] + xy * fan[1, j] + xz * fan[2, j]
+                            )
+                            dy = (
+                                yx * fan[0, j] + yy * fan[1, j] + yz * fan[2, j]
+                            )
+                            dz = (
+                                zx * fan[0, j] + zy * fan[1, j] + zz * fan[2, j]
+                            )
+                            t[j] = cast_box(px, py, pz, dx, dy, dz, a, b, c)
+                    elif kind == HALF_SPACE:
+                        for j in range(first, last):
+                            dz = (
+                                zx * fan[0, j] + zy * fan[1, j] + zz * fan[2, j]
+                            )
+                            t[j] = cast_half_space(pz, dz)
+                    elif kind == ELLIPSOID:
+                        for j in range(first, last):
+                            dx = (
+                                xx * fan[0, j] + xy * fan[1, j] + xz * fan[2, j]
+                            )
+                            dy = (
+                                yx * fan[0, j] + yy * fan[1, j] + yz * fan[2, j]
+                            )
+                            dz = (
+                                zx * fan[0, j] + zy * fan[1, j] + zz * fan[2, j]
+                            )
+                            t[j] = cast_ellipsoid(
+                                px, py, pz, dx, dy, dz, a, b, c
+                            )
+                    elif kind == CONVEX:
+                        for j in range(first, last):
+                            dx = (
+                                xx * fan[0, j] + xy * fan[1, j] + xz * fan[2, j]
+                            )
+                            dy = (
+                                yx * fan[0, j] + yy * fan[1, j] + yz * fan[2, j]
+                            )
+                            dz = (
+                                zx * fan[0, j] + zy * fan[1, j] + zz * fan[2, j]
+                            )
+                            t[j], _ = cast_convex(
+                                planes, part, parts, p_G, dx, dy, dz
+                            )
+                    else:
+                        for j in range(first, last):
+                            dx = (
+                                xx * fan[0, j] + xy * fan[1, j] + xz * fan[2, j]
+                            )
+                            dy = (
+                                yx * fan[0, j] + yy * fan[1, j] + yz * fan[2, j]
+                            )
+                            dz = (
+                                zx * fan[0, j] + zy * fan[1, j] + zz * fan[2, j]
+                            )
+                            # The next number: an equal hit may count.
+                            limit = np.nextafter(best[j], np.inf)
+                            t[j], _ = cast_mesh(
+                                nodes,
+                                triangles,
+                                part,
+                                p_G,
+                                dx,
+                                dy,
+                                dz,
+                                limit,
+                                stack,
+                            )
                 for j in range(first, last):
                     nearer = (t[j] < best[j]) | (
                         (t[j] == best[j]) & (s < hit[j])
@@ -641,6 +652,28 @@ def _may_hit_ball(x, y, z, radius, ex, ey, ez, reach):
     far = reach + radius
     return (gap2 * (1.0 - _MARGIN) - along * along <= radius * radius) & (
         gap2 * (1.0 - _MARGIN) <= far * far
+    )
+
+
+@njit(cache=True, error_model="numpy")
+def _is_inside(shapes, planes, nodes, triangles, s, p):
+    """Returns whether a point in G is in shape s."""
+    if not _is_in_box(shapes, s, p[0], p[1], p[2]):
+        return False
+    kind = int(shapes[s, KIND])
+    part, parts = int(shapes[s, DATA]), int(shapes[s, DATA + 1])
+    if kind == CONVEX:
+        return is_inside_convex(planes, part, parts, p)
+    if kind == MESH:
+        return parts == 1 and is_inside_mesh(nodes, triangles, part, p)
+    return is_in_primitive(
+        kind,
+        p[0],
+        p[1],
+        p[2],
+        shapes[s, SIZE],
+        shapes[s, SIZE + 1],
+        shapes[s, SIZE + 2],
     )
 
 
@@ -756,9 +789,7 @@ def cast_rays(X_WF, scene, active, p_WR, n_WR, reach):
                         _compose(X_WF, int(shapes[s, FRAME]), shapes, s, X)
                         is_posed[s] = True
                     _pose_in_shape(X, p_WR[i], p)
-                    if _is_inside(
-                        shapes, planes, nodes, triangles, s, p[0], p[1], p[2], p
-                    ):
+                    if _is_inside(shapes, planes, nodes, triangles, s, p):
                         t = 0.0
                     else:
                         t = _cast_ray(
