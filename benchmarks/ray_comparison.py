@@ -5,6 +5,7 @@ machine do not count. All casters take turns, a few states at a time.
 """
 
 import dataclasses as dc
+import gc
 import importlib.util
 import time
 
@@ -62,6 +63,16 @@ PEERS = (
 )
 
 
+# How many times faster than which library, at least.
+HOLD = {
+    False: {
+        FastPath.name: {"PyBullet": 30.0, "MuJoCo": 10.0},
+        QueryObjectPath.name: {"PyBullet": 12.0, "MuJoCo": 4.0},
+    },
+    True: {FastPath.name: {"PyBullet": 4.0, "MuJoCo": 4.0}},
+}
+
+
 @dc.dataclass(frozen=True, kw_only=True)
 class Row:
     """What one caster takes, us, and how often it differs."""
@@ -99,6 +110,8 @@ def compare(scene: Scene, *, meshes: bool, rounds: int = 4) -> list[Row]:
     differing = [_compare_distances(scene, caster) for caster in casters]
     took = np.empty((len(casters), 2, rounds, NUM_STATES))
     clock = time.thread_time
+    # It would strike one caster for what another one has left.
+    gc.disable()
     for r in range(rounds):
         for start in range(0, NUM_STATES, _BLOCK):
             for c, caster in enumerate(casters):
@@ -109,6 +122,7 @@ def compare(scene: Scene, *, meshes: bool, rounds: int = 4) -> list[Row]:
                     middle = clock()
                     caster.cast(i)
                     took[c, :, r, i] = middle - begin, clock() - begin
+    gc.enable()
     took *= 1e6
     return [
         Row(

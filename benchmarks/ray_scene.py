@@ -23,6 +23,7 @@ from pydrake.systems.framework import DiagramBuilder
 
 from tofssm_drake.diagrams.scenario import load_scenario
 from tofssm_drake.geometry.ray_caster import RayCaster
+from tofssm_drake.geometry.triangle_mesh import read_mesh
 from tofssm_drake.human.avatar import HumanAvatar
 from tofssm_drake.human.motion import capsule_ends
 from tofssm_drake.human.skeleton import calc_capsule_poses
@@ -103,12 +104,9 @@ class Scene:
         self.max_range = float(self.bundles.max_range[0])
         layout = ProductLayout.from_config(scenario.program)
         kinematics = RingKinematics.from_plant(self.plant)
-        person = set(avatar.frame_ids)
-        frame_ids = self.caster.frame_ids
-        row = {f: i for i, f in enumerate(frame_ids)}
-        self._person_rows = np.array([row[f] for f in avatar.frame_ids])
-        others = [f for f in frame_ids if f not in person]
-        self._other_rows = np.array([row[f] for f in others])
+        others = self.caster.frame_ids[: -len(avatar.frame_ids)]
+        assert self.caster.frame_ids == [*others, *avatar.frame_ids]
+        self._num_others = len(others)
         self._twin_poses = TwinPoses.from_plant(
             self.plant, layout=layout, frame_ids=others
         )
@@ -147,16 +145,27 @@ class Scene:
         self.X_WF = np.array([self.calc_poses(i) for i in range(NUM_STATES)])
         self.rays = [self.caster.calc_rays(self.bundles, X) for X in self.X_WF]
 
+    def count_triangles(self) -> int:
+        """Returns how many triangles all meshes have."""
+        inspector = self.scene_graph.model_inspector()
+        shapes = map(inspector.GetShape, self.caster.geometry_ids)
+        return sum(
+            len(read_mesh(shape, "mesh").triangles)
+            for shape in shapes
+            if isinstance(shape, Mesh)
+        )
+
     def calc_poses(self, i: int) -> np.ndarray:
         """Returns all frames' poses as the closed loop does."""
         state = self.states[i]
-        X_WF = np.empty((len(self._other_rows) + len(self._person_rows), 3, 4))
-        X_WF[self._other_rows] = self._twin_poses.calc(
-            state.q, state.gripper_closed, state.products_placed
+        X_WF = np.empty((self._num_others + len(state.ends), 3, 4))
+        self._twin_poses.calc(
+            state.q,
+            state.gripper_closed,
+            state.products_placed,
+            X_WF[: self._num_others],
         )
-        X_WH = np.empty((len(self._person_rows), 3, 4))
-        calc_capsule_poses(state.ends, X_WH)
-        X_WF[self._person_rows] = X_WH
+        calc_capsule_poses(state.ends, X_WF[self._num_others :])
         return X_WF
 
     def query_poses(self, i: int) -> np.ndarray:

@@ -435,8 +435,7 @@ class RayCaster:
             X_WF = self._check_poses(poses)
         else:
             X_WF = self.poses_from_query_object(poses)
-        p_WR = np.array(p_WR, dtype=float, order="C")
-        n_WR = np.array(n_WR, dtype=float, order="C")
+        p_WR, n_WR = _as_packed(p_WR), _as_packed(n_WR)
         if p_WR.ndim != 2 or p_WR.shape[1] != 3 or p_WR.shape != n_WR.shape:
             raise ValueError(
                 f"p_WR {p_WR.shape} and n_WR {n_WR.shape}: not both (n, 3)"
@@ -592,10 +591,16 @@ class RayCaster:
                 f"X_WF: shape {X_WF.shape} is not"
                 f" ({len(self._frame_ids)}, 3, 4)"
             )
-        flags = X_WF.flags
-        if flags.c_contiguous and flags.writeable and X_WF.dtype == float:
-            return X_WF
-        return np.array(X_WF, dtype=float, order="C")
+        return _as_packed(X_WF)
+
+
+def _as_packed(array) -> np.ndarray:
+    """Returns an array, or a copy, as the kernels are compiled for."""
+    array = np.asarray(array)
+    flags = array.flags
+    if flags.c_contiguous and flags.writeable and array.dtype == float:
+        return array
+    return np.array(array, dtype=float, order="C")
 
 
 def _name(role: Role) -> str:

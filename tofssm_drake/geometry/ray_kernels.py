@@ -97,8 +97,8 @@ BAD_RAY = 2
 _TOLERANCE = 1e-6
 # Rounding must not drop a shape that is only touched.
 _MARGIN = 1e-9
-# Sorted lists up to this long are sorted by insertion.
-_SHORT = 32
+# Ciura's steps, for lists as long as a scene has shapes.
+_GAPS = (1750, 701, 301, 132, 57, 23, 10, 4, 1)
 
 
 @njit(cache=True, error_model="numpy", forceinline=True)
@@ -312,17 +312,15 @@ def _is_in_box(shapes, s, x, y, z):
 
 @njit(cache=True, error_model="numpy")
 def _sort(order, key, n):
-    """Sorts the first n numbers in `order` by their key."""
-    if n > _SHORT:
-        order[:n] = order[:n][np.argsort(key[order[:n]])]
-        return
-    for i in range(1, n):
-        this = order[i]
-        j = i
-        while j > 0 and key[order[j - 1]] > key[this]:
-            order[j] = order[j - 1]
-            j -= 1
-        order[j] = this
+    """Sorts the first n numbers in `order` by their key (Shell's method)."""
+    for gap in _GAPS:
+        for i in range(gap, n):
+            this = order[i]
+            j = i
+            while j >= gap and key[order[j - gap]] > key[this]:
+                order[j] = order[j - gap]
+                j -= gap
+            order[j] = this
 
 
 @njit(cache=True, error_model="numpy")
