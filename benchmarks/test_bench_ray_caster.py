@@ -80,7 +80,7 @@ def test_beside_other_ray_casters(benchmark, tables, sensors, meshes):
     rows = benchmark.pedantic(
         lambda: compare(scene, meshes=meshes), rounds=1, iterations=1
     )
-    what = "meshes" if meshes else "shapes"
+    what = "shapes, meshes among them" if meshes else "primitive shapes"
     rays = scene.rays[0][1].shape[0] * scene.rays[0][1].shape[1]
     lines = [f"{rays} rays, {len(scene.caster.geometry_ids)} {what}", ""]
     lines += [format_table(rows), ""]

@@ -653,52 +653,11 @@ def _may_hit_ball(x, y, z, radius, ex, ey, ez, reach):
     )
 
 
-@njit(cache=True, error_model="numpy")
-def _is_inside(shapes, planes, nodes, triangles, s, p):
-    """Returns whether a point in G is in shape s."""
-    if not _is_in_box(shapes, s, p[0], p[1], p[2]):
-        return False
-    kind = int(shapes[s, KIND])
-    part, parts = int(shapes[s, DATA]), int(shapes[s, DATA + 1])
-    if kind == CONVEX:
-        return is_inside_convex(planes, part, parts, p)
-    if kind == MESH:
-        return parts == 1 and is_inside_mesh(nodes, triangles, part, p)
-    return is_in_primitive(
-        kind,
-        p[0],
-        p[1],
-        p[2],
-        shapes[s, SIZE],
-        shapes[s, SIZE + 1],
-        shapes[s, SIZE + 2],
-    )
-
-
-@njit(cache=True, error_model="numpy")
-def _cast_ray(shapes, planes, nodes, triangles, s, p, dx, dy, dz, best, stack):
-    """Returns the distance of a ray that starts outside of shape s."""
-    kind = int(shapes[s, KIND])
-    part, parts = int(shapes[s, DATA]), int(shapes[s, DATA + 1])
-    if kind == CONVEX:
-        t, _ = cast_convex(planes, part, parts, p, dx, dy, dz)
-    elif kind == MESH:
-        limit = np.nextafter(best, np.inf)
-        t, _ = cast_mesh(nodes, triangles, part, p, dx, dy, dz, limit, stack)
-    else:
-        t = cast_primitive(
-            kind,
-            p[0],
-            p[1],
-            p[2],
-            dx,
-            dy,
-            dz,
-            shapes[s, SIZE],
-            shapes[s, SIZE + 1],
-            shapes[s, SIZE + 2],
-        )
-    return t
+@njit(cache=True, error_model="numpy", forceinline=True)
+def _rotate(X_WG, s, axis, x, y, z, ex, ey, ez):
+    """Returns a component of two vectors of the world in shape s."""
+    a, b, c = X_WG[s, 0, axis], X_WG[s, 1, axis], X_WG[s, 2, axis]
+    return a * x + b * y + c * z, a * ex + b * ey + c * ez
 
 
 @njit(cache=True, error_model="numpy")
@@ -726,6 +685,7 @@ def cast_rays(X_WF, scene, active, p_WR, n_WR, reach):
     num_balls = posed.shape[1]
     flags, words = _make_mask(num_balls)
     pending = np.empty(balls.shape[0], dtype=np.int64)
+    X = np.empty((3, 4))
     X_WG = np.empty((n, 3, 4))
     is_posed = np.zeros(n, dtype=np.bool_)
     p = np.empty(3)
@@ -782,27 +742,74 @@ def cast_rays(X_WF, scene, active, p_WR, n_WR, reach):
                         continue
                     if not active[s]:
                         continue
-                    X = X_WG[s]
                     if not is_posed[s]:
                         _compose(X_WF, int(shapes[s, FRAME]), shapes, s, X)
+                        for row in range(3):
+                            for column in range(4):
+                                X_WG[s, row, column] = X[row, column]
                         is_posed[s] = True
-                    _pose_in_shape(X, p_WR[i], p)
-                    if _is_inside(shapes, planes, nodes, triangles, s, p):
-                        t = 0.0
+                    x = ox - X_WG[s, 0, 3]
+                    y = oy - X_WG[s, 1, 3]
+                    z = oz - X_WG[s, 2, 3]
+                    px, dx = _rotate(X_WG, s, 0, x, y, z, ex, ey, ez)
+                    py, dy = _rotate(X_WG, s, 1, x, y, z, ex, ey, ez)
+                    pz, dz = _rotate(X_WG, s, 2, x, y, z, ex, ey, ez)
+                    may_be_inside = _is_in_box(shapes, s, px, py, pz)
+                    kind = int(shapes[s, KIND])
+                    part = int(shapes[s, DATA])
+                    parts = int(shapes[s, DATA + 1])
+                    if kind < CONVEX:
+                        size_x = shapes[s, SIZE]
+                        size_y = shapes[s, SIZE + 1]
+                        size_z = shapes[s, SIZE + 2]
+                        if may_be_inside and is_in_primitive(
+                            kind, px, py, pz, size_x, size_y, size_z
+                        ):
+                            t = 0.0
+                        else:
+                            t = cast_primitive(
+                                kind,
+                                px,
+                                py,
+                                pz,
+                                dx,
+                                dy,
+                                dz,
+                                size_x,
+                                size_y,
+                                size_z,
+                            )
+                    elif kind == CONVEX:
+                        p[0], p[1], p[2] = px, py, pz
+                        if may_be_inside and is_inside_convex(
+                            planes, part, parts, p
+                        ):
+                            t = 0.0
+                        else:
+                            t, _ = cast_convex(
+                                planes, part, parts, p, dx, dy, dz
+                            )
                     else:
-                        t = _cast_ray(
-                            shapes,
-                            planes,
-                            nodes,
-                            triangles,
-                            s,
-                            p,
-                            X[0, 0] * ex + X[1, 0] * ey + X[2, 0] * ez,
-                            X[0, 1] * ex + X[1, 1] * ey + X[2, 1] * ez,
-                            X[0, 2] * ex + X[1, 2] * ey + X[2, 2] * ez,
-                            best,
-                            stack,
-                        )
+                        p[0], p[1], p[2] = px, py, pz
+                        if (
+                            may_be_inside
+                            and parts == 1
+                            and is_inside_mesh(nodes, triangles, part, p)
+                        ):
+                            t = 0.0
+                        else:
+                            # The next number: an equal hit may count.
+                            t, _ = cast_mesh(
+                                nodes,
+                                triangles,
+                                part,
+                                p,
+                                dx,
+                                dy,
+                                dz,
+                                np.nextafter(best, np.inf),
+                                stack,
+                            )
                     if t < best or (t == best and s < hit):
                         best = t
                         hit = s
