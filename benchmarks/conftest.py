@@ -12,3 +12,7 @@ def pytest_terminal_summary(terminalreporter, config):
         terminalreporter.section("figures")
         for benchmark, name, value in rows:
             terminalreporter.write_line(f"{benchmark}: {name} {value:.4g}")
+    tables = getattr(config, "ray_caster_tables", None)
+    if tables:
+        terminalreporter.section("ray casters")
+        terminalreporter.write(tables)

@@ -28,7 +28,8 @@ from pydrake.geometry import (
 from pydrake.math import RigidTransform
 
 from tofssm_drake.errors import UserError
-from tofssm_drake.geometry import ray_kernels
+from tofssm_drake.geometry import ray_kernels, shape_kernels
+from tofssm_drake.geometry.ball_tree import make_ball_tree
 from tofssm_drake.geometry.triangle_mesh import describe_mesh_source, read_mesh
 
 _UNIT_TOLERANCE = 1e-6
@@ -133,12 +134,13 @@ class RayCaster:
 
         n = len(self._geometry_ids)
         shapes = np.zeros((n, ray_kernels.SHAPE_COLUMNS))
+        p_FC, radii = np.zeros((n, 3)), np.zeros(n)
         self._descriptions = []
         pool = _Pool()
         for i, geometry_id in enumerate(self._geometry_ids):
             shape, description = _describe_geometry(inspector, geometry_id)
             name = inspector.GetName(geometry_id)
-            kind, size, data, p_GC, radius = pool.add(shape, name)
+            kind, size, data, low, high, radius = pool.add(shape, name)
             X_FG = inspector.GetPoseInFrame(geometry_id)
             frame = self._find_frame(inspector.GetFrameId(geometry_id))
             self._descriptions.append(description)
@@ -147,11 +149,17 @@ class RayCaster:
                 [
                     X_FG.GetAsMatrix34().ravel(),
                     size,
-                    X_FG @ p_GC,
-                    [radius, kind, frame, *data],
+                    low,
+                    high,
+                    [kind, frame, *data],
                 ]
             )
-        self._scene = (shapes, *pool.merge())
+            if np.isfinite(radius):
+                p_FC[i] = X_FG @ (0.5 * (low + high))
+            radii[i] = radius
+        frames = shapes[:, ray_kernels.FRAME].astype(int)
+        balls = make_ball_tree(frames, p_FC, radii)
+        self._scene = (shapes, balls, *pool.merge())
         self._remember_version(inspector)
 
     @property
@@ -335,7 +343,7 @@ class RayCaster:
                 [X_FS.reshape(m, 12), max_range, frame_index]
             ),
             _all=np.ones(m, dtype=bool),
-            _fan=np.column_stack([fan_S[order], order]),
+            _fan=np.ascontiguousarray(np.vstack([fan_S[order].T, order])),
             _cones=cones,
         )
         for field in dc.fields(bundles):
@@ -427,8 +435,7 @@ class RayCaster:
             X_WF = self._check_poses(poses)
         else:
             X_WF = self.poses_from_query_object(poses)
-        p_WR = np.array(p_WR, dtype=float, order="C")
-        n_WR = np.array(n_WR, dtype=float, order="C")
+        p_WR, n_WR = _as_packed(p_WR), _as_packed(n_WR)
         if p_WR.ndim != 2 or p_WR.shape[1] != 3 or p_WR.shape != n_WR.shape:
             raise ValueError(
                 f"p_WR {p_WR.shape} and n_WR {n_WR.shape}: not both (n, 3)"
@@ -584,10 +591,16 @@ class RayCaster:
                 f"X_WF: shape {X_WF.shape} is not"
                 f" ({len(self._frame_ids)}, 3, 4)"
             )
-        flags = X_WF.flags
-        if flags.c_contiguous and flags.writeable and X_WF.dtype == float:
-            return X_WF
-        return np.array(X_WF, dtype=float, order="C")
+        return _as_packed(X_WF)
+
+
+def _as_packed(array) -> np.ndarray:
+    """Returns an array, or a copy, as the kernels are compiled for."""
+    array = np.asarray(array)
+    flags = array.flags
+    if flags.c_contiguous and flags.writeable and array.dtype == float:
+        return array
+    return np.array(array, dtype=float, order="C")
 
 
 def _name(role: Role) -> str:
@@ -678,7 +691,10 @@ class _Pool:
         )
 
     def add(self, shape, name: str):
-        """Returns (kind, sizes, data, p_GC and radius of a bounding sphere).
+        """Returns (kind, sizes, data, corners of a box, radius of a ball).
+
+        The box is the smallest one around the shape, and the ball has its
+        centre.
 
         Args:
             shape: Of the geometry.
@@ -688,29 +704,34 @@ class _Pool:
             UserError: If it can not be cast.
         """
         size = np.zeros(3)
-        p_GC = np.zeros(3)
         data = (0, 0)
         if isinstance(shape, Sphere):
-            kind = ray_kernels.SPHERE
+            kind = shape_kernels.SPHERE
             size[0] = radius = shape.radius()
+            high = np.full(3, radius)
         elif isinstance(shape, Capsule):
-            kind = ray_kernels.CAPSULE
+            kind = shape_kernels.CAPSULE
             size[:2] = shape.radius(), 0.5 * shape.length()
             radius = size.sum()
+            high = np.array([size[0], size[0], radius])
         elif isinstance(shape, Cylinder):
-            kind = ray_kernels.CYLINDER
+            kind = shape_kernels.CYLINDER
             size[:2] = shape.radius(), 0.5 * shape.length()
             radius = np.linalg.norm(size)
+            high = size[[0, 0, 1]]
         elif isinstance(shape, Box):
-            kind = ray_kernels.BOX
+            kind = shape_kernels.BOX
             size[:] = 0.5 * np.asarray(shape.size())
             radius = np.linalg.norm(size)
+            high = size
         elif isinstance(shape, HalfSpace):
-            kind, radius = ray_kernels.HALF_SPACE, np.inf
+            kind, radius = shape_kernels.HALF_SPACE, np.inf
+            high = np.array([np.inf, np.inf, 0.0])
         elif isinstance(shape, Ellipsoid):
-            kind = ray_kernels.ELLIPSOID
+            kind = shape_kernels.ELLIPSOID
             size[:] = shape.a(), shape.b(), shape.c()
             radius = size.max()
+            high = size
         elif isinstance(shape, Convex | Mesh):
             # Geometries often share a file.
             key = type(shape), describe_mesh_source(shape)
@@ -719,14 +740,18 @@ class _Pool:
                 if isinstance(shape, Convex):
                     add = self._add_convex
                 self._known[key] = add(shape, name)
-            kind, data, p_GC, radius = self._known[key]
+            kind, data, low, high, radius = self._known[key]
         else:
             raise UserError(
                 f"geometry '{name}': a {type(shape).__name__} can not be seen"
                 " by rays"
             )
-        # Rounding must not take a point of the shape out of its sphere.
-        return kind, size, data, p_GC, radius * (1.0 + 1e-12)
+        if kind == shape_kernels.HALF_SPACE:
+            low = np.full(3, -np.inf)
+        elif kind <= shape_kernels.ELLIPSOID:
+            low = -high
+        # Rounding must not take a point of the shape out of its ball.
+        return kind, size, data, low, high, radius * (1.0 + 1e-12)
 
     def _add_mesh(self, shape: Mesh, name: str):
         mesh = read_mesh(shape, name)
@@ -741,7 +766,7 @@ class _Pool:
         self._num_triangles += len(mesh.triangles)
         data = root, int(mesh.is_closed)
         corners = mesh.triangles.reshape(-1, 3)
-        return ray_kernels.MESH, data, *_calc_bounding_sphere(corners)
+        return ray_kernels.MESH, data, *_calc_bounds(corners)
 
     def _add_convex(self, shape: Convex, name: str):
         try:
@@ -763,9 +788,11 @@ class _Pool:
         data = self._num_planes, len(planes)
         self._planes.append(planes)
         self._num_planes += len(planes)
-        return ray_kernels.CONVEX, data, *_calc_bounding_sphere(vertices)
+        return ray_kernels.CONVEX, data, *_calc_bounds(vertices)
 
 
-def _calc_bounding_sphere(points: np.ndarray) -> tuple[np.ndarray, float]:
-    centre = 0.5 * (points.min(axis=0) + points.max(axis=0))
-    return centre, np.linalg.norm(points - centre, axis=1).max()
+def _calc_bounds(points: np.ndarray):
+    """Returns the corners of a box and the radius of a ball around points."""
+    low, high = points.min(axis=0), points.max(axis=0)
+    radius = np.linalg.norm(points - 0.5 * (low + high), axis=1).max()
+    return low, high, radius

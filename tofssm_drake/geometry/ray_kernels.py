@@ -1,18 +1,18 @@
-"""Compiled kernels of the ray caster: one ray or fan against the shapes.
-
-All shapes are cast in their own frame G, the canonical frame of Drake's
-shape specifications. A shape is a closed set of points: the distance along a
-ray is the smallest t >= 0 with p + t d in the shape, hence 0 for an origin
-that is inside or on the surface.
+"""Compiled kernels of the ray caster: bundles or single rays against a scene.
 
 The scene is handed over as the poses of its f frames, X_WF (f, 3, 4), and a
 tuple of a few tables, since each array costs a fraction of a microsecond on
 the way into compiled code; whole numbers are therefore kept as floats, too:
 
-  shapes     (n, 23)  one row for each shape, see the columns below
+  shapes     (n, 25)  one row for each shape, see the columns below
+  balls      (., 7)   bounding balls of shapes and of groups of them, see below
   planes     (., 4)   (n, h) of all polytopes: the points with n.x <= h
   nodes      (., 8)   of all meshes, see TriangleMesh
   triangles  (., 9)   of all meshes, see TriangleMesh
+
+What a bundle or ray can not see is ruled out in three steps: by the balls,
+by the box that each shape is in, and, for what is farther than what has been
+hit already, by the least distance at which that box can be met.
 """
 
 from numba import njit
@@ -25,21 +25,26 @@ from tofssm_drake.geometry.mesh_kernels import (
     is_inside_convex,
     is_inside_mesh,
 )
+from tofssm_drake.geometry.shape_kernels import (
+    BOX,
+    CAPSULE,
+    CYLINDER,
+    ELLIPSOID,
+    HALF_SPACE,
+    SPHERE,
+    cast_box,
+    cast_capsule,
+    cast_cylinder,
+    cast_ellipsoid,
+    cast_half_space,
+    cast_primitive,
+    cast_sphere,
+    find_normal,
+    is_in_primitive,
+)
 
-SPHERE = 0
-"""Sizes: radius, -, -."""
-CAPSULE = 1
-"""Sizes: radius, half the length of the axis, -; along z."""
-CYLINDER = 2
-"""Sizes: radius, half the length, -; along z."""
-BOX = 3
-"""Sizes: half width, half depth, half height."""
-HALF_SPACE = 4
-"""The points with z <= 0; no sizes."""
-ELLIPSOID = 5
-"""Sizes: the semi-axes a, b, c."""
 CONVEX = 6
-"""Data: first plane, number of planes."""
+"""Kinds above those of shape_kernels. Data: first plane, number of planes."""
 MESH = 7
 """Data: root node, whether it is closed."""
 
@@ -47,23 +52,42 @@ POSE = 0
 """Columns of shapes: X_FG row by row (12)."""
 SIZE = 12
 """Sizes, according to the kind (3)."""
-CENTRE = 15
-"""Centre p_FC of the bounding sphere (3)."""
-RADIUS = 18
-"""Its radius."""
-KIND = 19
+LOW = 15
+"""Lower corner of a box around the shape in G, may be infinite (3)."""
+HIGH = 18
+"""Its upper corner (3)."""
+KIND = 21
 """What it is."""
-FRAME = 20
+FRAME = 22
 """Row of its frame in X_WF."""
-DATA = 21
+DATA = 23
 """Where the data of a polytope or mesh are (2)."""
-SHAPE_COLUMNS = 23
+SHAPE_COLUMNS = 25
+
+BALL_CENTRE = 0
+"""Columns of balls: centre in its frame F (3)."""
+BALL_RADIUS = 3
+"""Radius, inf for what has no bounds."""
+BALL_FRAME = 4
+"""Row of its frame in X_WF."""
+BALL_FIRST = 5
+"""A shape; or with a count, the first ball within this one."""
+BALL_COUNT = 6
+"""How many balls are within this one. Row 0 is around everything: its balls,
+rows 1 and following, are tested for each bundle and ray."""
+BALL_COLUMNS = 7
 
 BUNDLE_RANGE = 12
 """Columns of bundles: X_FS row by row (12), the range."""
 BUNDLE_FRAME = 13
 """Row of its frame in X_WF."""
 BUNDLE_COLUMNS = 14
+
+NEAR_P = 0
+"""Columns of the shapes that a bundle may see: origin of its rays in G (3)."""
+NEAR_R = 3
+"""Its rotation R_GS, row by row (9)."""
+NEAR_COLUMNS = 12
 
 OK = 0
 BAD_POSE = 1
@@ -73,182 +97,42 @@ BAD_RAY = 2
 _TOLERANCE = 1e-6
 # Rounding must not drop a shape that is only touched.
 _MARGIN = 1e-9
+# Ciura's steps, for lists as long as a scene has shapes.
+_GAPS = (1750, 701, 301, 132, 57, 23, 10, 4, 1)
 
 
 @njit(cache=True, error_model="numpy", forceinline=True)
-def _enter_circle(along, across, radius):
-    """Returns how far a unit ray goes to a circle or sphere, inf for a miss.
-
-    Args:
-        along: Distance along the ray to the point nearest the centre.
-        across: Distance of that point from the centre.
-        radius: Radius of the circle or sphere.
-
-    Returns:
-        The distance of the entry point, negative behind the origin.
-    """
-    # The factored form keeps its digits where the ray grazes.
-    rest = (radius - across) * (radius + across)
-    if rest < 0.0:
-        return np.inf
-    return along - np.sqrt(rest)
-
-
-@njit(cache=True, error_model="numpy", forceinline=True)
-def _cast_sphere(px, py, pz, dx, dy, dz, radius):
-    along = -(px * dx + py * dy + pz * dz)
-    if along < 0.0:
-        return np.inf
-    qx, qy, qz = px + along * dx, py + along * dy, pz + along * dz
-    across = np.sqrt(qx * qx + qy * qy + qz * qz)
-    return max(_enter_circle(along, across, radius), 0.0)
-
-
-@njit(cache=True, error_model="numpy", forceinline=True)
-def _cast_ellipsoid(px, py, pz, dx, dy, dz, a, b, c):
-    # Scaled to the unit sphere; the direction then is no longer a unit.
-    ex, ey, ez = dx / a, dy / b, dz / c
-    scale = np.sqrt(ex * ex + ey * ey + ez * ez)
-    return (
-        _cast_sphere(
-            px / a, py / b, pz / c, ex / scale, ey / scale, ez / scale, 1.0
-        )
-        / scale
-    )
-
-
-@njit(cache=True, error_model="numpy", forceinline=True)
-def _cast_capsule(px, py, pz, dx, dy, dz, radius, half):
-    slope = np.sqrt(dx * dx + dy * dy)
-    if slope > 0.0:
-        ux, uy = dx / slope, dy / slope
-        t = _enter_circle(-(px * ux + py * uy), abs(px * uy - py * ux), radius)
-        if t == np.inf:
-            return np.inf
-        t = t / slope
-        z = pz + t * dz
-        if abs(z) <= half:
-            # Behind the origin: the ray has left the (convex) shape.
-            return t if t >= 0.0 else np.inf
-    else:
-        if np.sqrt(px * px + py * py) > radius:
-            return np.inf
-        z = -dz
-    # The tube is entered beyond one end, so only that end can be met.
-    end = half if z > 0.0 else -half
-    return _cast_sphere(px, py, pz - end, dx, dy, dz, radius)
-
-
-@njit(cache=True, error_model="numpy", forceinline=True)
-def _clip_slab(p, d, half, enter, leave):
-    """Clips the interval [enter, leave] of a ray to |p + t d| <= half."""
-    if d == 0.0:
-        # 0 * inf in the general formula; the ray is in the slab or never.
-        if abs(p) > half:
-            leave = -np.inf
-        return enter, leave
-    first = (-half - p) / d
-    second = (half - p) / d
-    return (
-        max(enter, min(first, second)),
-        min(leave, max(first, second)),
-    )
-
-
-@njit(cache=True, error_model="numpy", forceinline=True)
-def _cast_cylinder(px, py, pz, dx, dy, dz, radius, half):
-    enter, leave = _clip_slab(pz, dz, half, 0.0, np.inf)
-    slope = np.sqrt(dx * dx + dy * dy)
-    if slope > 0.0:
-        ux, uy = dx / slope, dy / slope
-        along = -(px * ux + py * uy)
-        t = _enter_circle(along, abs(px * uy - py * ux), radius)
-        if t == np.inf:
-            return np.inf
-        enter = max(enter, t / slope)
-        leave = min(leave, (2.0 * along - t) / slope)
-    elif np.sqrt(px * px + py * py) > radius:
-        return np.inf
-    return enter if enter <= leave else np.inf
-
-
-@njit(cache=True, error_model="numpy", forceinline=True)
-def _cast_box(px, py, pz, dx, dy, dz, hx, hy, hz):
-    enter, leave = _clip_slab(px, dx, hx, 0.0, np.inf)
-    enter, leave = _clip_slab(py, dy, hy, enter, leave)
-    enter, leave = _clip_slab(pz, dz, hz, enter, leave)
-    return enter if enter <= leave else np.inf
-
-
-@njit(cache=True, error_model="numpy", forceinline=True)
-def _cast_half_space(pz, dz):
-    return -pz / dz if dz < 0.0 else np.inf
-
-
-@njit(cache=True, error_model="numpy", forceinline=True)
-def _is_in_primitive(kind, x, y, z, a, b, c):
-    """Returns whether a point in G is inside a shape or on its surface."""
-    if kind == SPHERE:
-        return np.sqrt(x * x + y * y + z * z) <= a
-    if kind == CAPSULE:
-        z = max(abs(z) - b, 0.0)
-        return np.sqrt(x * x + y * y + z * z) <= a
-    if kind == CYLINDER:
-        return abs(z) <= b and np.sqrt(x * x + y * y) <= a
-    if kind == BOX:
-        return abs(x) <= a and abs(y) <= b and abs(z) <= c
-    if kind == HALF_SPACE:
-        return z <= 0.0
-    x, y, z = x / a, y / b, z / c
-    return np.sqrt(x * x + y * y + z * z) <= 1.0
-
-
-@njit(cache=True, error_model="numpy", forceinline=True)
-def _cast_primitive(kind, px, py, pz, dx, dy, dz, a, b, c):
-    """Returns the distance along a ray that starts outside, inf: miss."""
-    if kind == SPHERE:
-        return _cast_sphere(px, py, pz, dx, dy, dz, a)
-    if kind == CAPSULE:
-        return _cast_capsule(px, py, pz, dx, dy, dz, a, b)
-    if kind == CYLINDER:
-        return _cast_cylinder(px, py, pz, dx, dy, dz, a, b)
-    if kind == BOX:
-        return _cast_box(px, py, pz, dx, dy, dz, a, b, c)
-    if kind == HALF_SPACE:
-        return _cast_half_space(pz, dz)
-    return _cast_ellipsoid(px, py, pz, dx, dy, dz, a, b, c)
-
-
-@njit(cache=True, error_model="numpy", forceinline=True)
-def _compose(X_AB, X_BC, X_AC):
-    """Writes X_AC = X_AB X_BC; X_BC has twelve numbers, row by row."""
+def _compose(X_WF, f, table, row, X):
+    """Writes X = X_WF[f] X_FG; X_FG is in a row of a table, row by row."""
     for i in range(3):
         for j in range(4):
-            X_AC[i, j] = (
-                X_AB[i, 0] * X_BC[j]
-                + X_AB[i, 1] * X_BC[4 + j]
-                + X_AB[i, 2] * X_BC[8 + j]
+            X[i, j] = (
+                X_WF[f, i, 0] * table[row, j]
+                + X_WF[f, i, 1] * table[row, 4 + j]
+                + X_WF[f, i, 2] * table[row, 8 + j]
             )
-        X_AC[i, 3] += X_AB[i, 3]
+        X[i, 3] += X_WF[f, i, 3]
 
 
-@njit(cache=True, error_model="numpy")
-def _calc_centres(X_WF, shapes):
-    """Returns the centres of the bounding spheres in the world, (3, n)."""
-    p_WC = np.empty((3, shapes.shape[0]))
-    for s in range(shapes.shape[0]):
-        f = int(shapes[s, FRAME])
-        x = shapes[s, CENTRE]
-        y = shapes[s, CENTRE + 1]
-        z = shapes[s, CENTRE + 2]
-        for i in range(3):
-            p_WC[i, s] = (
-                X_WF[f, i, 0] * x
-                + X_WF[f, i, 1] * y
-                + X_WF[f, i, 2] * z
-                + X_WF[f, i, 3]
-            )
-    return p_WC
+@njit(cache=True, error_model="numpy", forceinline=True)
+def _pose_ball(X_WF, balls, b):
+    """Returns x, y, z of a ball's centre in the world."""
+    f = int(balls[b, BALL_FRAME])
+    x, y, z = balls[b, 0], balls[b, 1], balls[b, 2]
+    return (
+        X_WF[f, 0, 0] * x
+        + X_WF[f, 0, 1] * y
+        + X_WF[f, 0, 2] * z
+        + X_WF[f, 0, 3],
+        X_WF[f, 1, 0] * x
+        + X_WF[f, 1, 1] * y
+        + X_WF[f, 1, 2] * z
+        + X_WF[f, 1, 3],
+        X_WF[f, 2, 0] * x
+        + X_WF[f, 2, 1] * y
+        + X_WF[f, 2, 2] * z
+        + X_WF[f, 2, 3],
+    )
 
 
 @njit(cache=True, error_model="numpy")
@@ -256,67 +140,187 @@ def are_poses(X_WF):
     """Returns whether poses are finite and their rotations rotations."""
     good = True
     for i in range(X_WF.shape[0]):
-        X = X_WF[i]
         # Anything times zero is zero, unless it is not finite.
-        good &= (X[0, 3] + X[1, 3] + X[2, 3]) * 0.0 == 0.0
-        for j in range(3):
-            k = (j + 1) % 3
-            length = X[j, 0] * X[j, 0] + X[j, 1] * X[j, 1] + X[j, 2] * X[j, 2]
-            cosine = X[j, 0] * X[k, 0] + X[j, 1] * X[k, 1] + X[j, 2] * X[k, 2]
-            good &= (
-                abs(length - 1.0) <= _TOLERANCE and abs(cosine) <= _TOLERANCE
-            )
+        good &= (X_WF[i, 0, 3] + X_WF[i, 1, 3] + X_WF[i, 2, 3]) * 0.0 == 0.0
+        xx, xy, xz = X_WF[i, 0, 0], X_WF[i, 0, 1], X_WF[i, 0, 2]
+        yx, yy, yz = X_WF[i, 1, 0], X_WF[i, 1, 1], X_WF[i, 1, 2]
+        zx, zy, zz = X_WF[i, 2, 0], X_WF[i, 2, 1], X_WF[i, 2, 2]
+        good &= abs(xx * xx + xy * xy + xz * xz - 1.0) <= _TOLERANCE
+        good &= abs(yx * yx + yy * yy + yz * yz - 1.0) <= _TOLERANCE
+        good &= abs(zx * zx + zy * zy + zz * zz - 1.0) <= _TOLERANCE
+        good &= abs(xx * yx + xy * yy + xz * yz) <= _TOLERANCE
+        good &= abs(yx * zx + yy * zy + yz * zz) <= _TOLERANCE
+        good &= abs(zx * xx + zy * xy + zz * xz) <= _TOLERANCE
         # Not a mirror.
         good &= (
-            X[0, 0] * (X[1, 1] * X[2, 2] - X[1, 2] * X[2, 1])
-            + X[0, 1] * (X[1, 2] * X[2, 0] - X[1, 0] * X[2, 2])
-            + X[0, 2] * (X[1, 0] * X[2, 1] - X[1, 1] * X[2, 0])
+            xx * (yy * zz - yz * zy)
+            + xy * (yz * zx - yx * zz)
+            + xz * (yx * zy - yy * zx)
         ) > 0.0
     return good
 
 
-@njit(cache=True, error_model="numpy", forceinline=True)
-def _cone_misses(along, gap2, radius, cos, sin):
-    """Returns whether a ball is clear of a cone of rays.
+@njit(cache=True, error_model="numpy")
+def _pose_balls(X_WF, balls):
+    """Returns centres x, y, z in the world and radii of the first balls.
 
-    Without a square root, as nearly all balls are clear.
-
-    Args:
-        along: How far the ball's centre is along the axis, from the tip.
-        gap2: Squared distance of the centre from the tip, which is outside
-            of the ball.
-        radius: Radius of the ball.
-        cos: Cosine of half the opening angle; 0 or less: any direction.
-        sin: Its sine.
+    Shape (4, n) for the n balls within ball 0.
     """
-    if cos <= 0.0:
-        return False
-    across2 = gap2 - along * along
-    # Whether the tip is the cone's point nearest to the ball.
-    if along < 0.0 and across2 * (sin * sin) <= along * along * (cos * cos):
-        return True
-    # The ball touches the edge of the cone: across cos = radius + along sin.
-    rest = radius + along * sin
-    return rest < 0.0 or (
-        across2 * (cos * cos) > rest * rest + _MARGIN * (gap2 + rest * rest)
-    )
+    n = int(balls[0, BALL_COUNT])
+    posed = np.empty((4, n))
+    for b in range(n):
+        x, y, z = _pose_ball(X_WF, balls, 1 + b)
+        posed[0, b], posed[1, b], posed[2, b] = x, y, z
+        posed[3, b] = balls[1 + b, BALL_RADIUS]
+    return posed
 
 
 @njit(cache=True, error_model="numpy")
-def _pose_bundle(shapes, s, X_WF, X_WS, X_WG, p_GS, R_GS, q):
-    """Writes origin and rotation of a bundle in shape s to row q."""
-    _compose(X_WF[int(shapes[s, FRAME])], shapes[s], X_WG)
+def _make_mask(n):
+    """Returns n flags, and the same eight by eight."""
+    flags = np.zeros(8 * ((n + 7) // 8), dtype=np.uint8)
+    return flags, flags.view(np.uint64)
+
+
+@njit(cache=True, error_model="numpy", forceinline=True)
+def _may_see_ball(x, y, z, radius, ux, uy, uz, cos2, sin, floor, reach):
+    """Returns whether a cone of rays may meet a ball.
+
+    Without a branch or square root, as nearly all balls are clear.
+
+    Args:
+        x: From the cone's tip to the ball's centre.
+        y: The same.
+        z: The same.
+        radius: Of the ball.
+        ux: Axis of the cone, a unit vector.
+        uy: The same.
+        uz: The same.
+        cos2: Squared cosine of half the opening angle; 0: any direction.
+        sin: Its sine.
+        floor: How far along the axis the ball must reach: 0, or -inf for any
+            direction.
+        reach: Length of the rays.
+    """
+    gap2 = x * x + y * y + z * z
+    along = x * ux + y * uy + z * uz
+    # The ball touches the edge of the cone: across cos = radius + along sin.
+    rest2 = (radius + along * sin) * (radius + along * sin)
+    far = reach + radius
+    return (
+        (gap2 * (1.0 - _MARGIN) <= far * far)
+        & (along + radius * (1.0 + _MARGIN) >= floor)
+        & ((gap2 - along * along) * cos2 <= rest2 + _MARGIN * (gap2 + rest2))
+    )
+
+
+@njit(cache=True, error_model="numpy", forceinline=True)
+def _clip_cone(p, a, cos, sin, low, high, enter, leave):
+    """Clips distances [enter, leave] along all rays of a cone to a slab.
+
+    Args:
+        p: Where the rays start, square to the slab.
+        a: The same component of the cone's axis.
+        cos: Cosine of half the opening angle; 0 or less: any direction.
+        sin: Its sine.
+        low: Where the slab begins.
+        high: Where it ends.
+        enter: At this distance no ray is in the slabs before.
+        leave: Beyond this one none is any more.
+    """
+    steepest, flattest = 1.0, -1.0
+    if cos > 0.0:
+        turn = np.sqrt(max(1.0 - a * a, 0.0)) * sin + _MARGIN
+        if a < cos:
+            steepest = a * cos + turn
+        if a > -cos:
+            flattest = a * cos - turn
+    pad = _MARGIN * (1.0 + abs(p))
+    low, high = low - pad - p, high + pad - p
+    if low > 0.0:
+        enter = max(enter, low / steepest if steepest > 0.0 else np.inf)
+    elif steepest < 0.0:
+        leave = min(leave, low / steepest)
+    if high < 0.0:
+        enter = max(enter, high / flattest if flattest < 0.0 else np.inf)
+    elif flattest > 0.0:
+        leave = min(leave, high / flattest)
+    return enter, leave
+
+
+@njit(cache=True, error_model="numpy", forceinline=True)
+def _enter_shape_box(shapes, s, near, q, cones, g, reach):
+    """Returns at which distance a cone's rays may meet a shape, inf: none.
+
+    Args:
+        shapes: See the module.
+        s: The shape.
+        near: See NEAR_P.
+        q: The shape's row there.
+        cones: See cast_bundles.
+        g: Row of the cone.
+        reach: Length of the rays.
+    """
+    ax, ay, az = cones[g, 0], cones[g, 1], cones[g, 2]
+    cos, sin = cones[g, 3], cones[g, 4]
+    enter, leave = 0.0, reach
+    for i in range(3):
+        enter, leave = _clip_cone(
+            near[q, NEAR_P + i],
+            near[q, NEAR_R + 3 * i] * ax
+            + near[q, NEAR_R + 3 * i + 1] * ay
+            + near[q, NEAR_R + 3 * i + 2] * az,
+            cos,
+            sin,
+            shapes[s, LOW + i],
+            shapes[s, HIGH + i],
+            enter,
+            leave,
+        )
+    return enter if enter <= leave else np.inf
+
+
+@njit(cache=True, error_model="numpy", forceinline=True)
+def _pose_bundle(X_WF, shapes, s, X_WS, X_WG, near, q):
+    """Writes origin and rotation of a bundle in shape s."""
+    _compose(X_WF, int(shapes[s, FRAME]), shapes, s, X_WG)
     x = X_WS[0, 3] - X_WG[0, 3]
     y = X_WS[1, 3] - X_WG[1, 3]
     z = X_WS[2, 3] - X_WG[2, 3]
     for i in range(3):
-        p_GS[q, i] = X_WG[0, i] * x + X_WG[1, i] * y + X_WG[2, i] * z
+        near[q, NEAR_P + i] = X_WG[0, i] * x + X_WG[1, i] * y + X_WG[2, i] * z
         for j in range(3):
-            R_GS[q, i, j] = (
+            near[q, NEAR_R + 3 * i + j] = (
                 X_WG[0, i] * X_WS[0, j]
                 + X_WG[1, i] * X_WS[1, j]
                 + X_WG[2, i] * X_WS[2, j]
             )
+
+
+@njit(cache=True, error_model="numpy", forceinline=True)
+def _is_in_box(shapes, s, x, y, z):
+    """Returns whether a point in G is in the box around shape s."""
+    return (
+        (x >= shapes[s, LOW])
+        & (x <= shapes[s, HIGH])
+        & (y >= shapes[s, LOW + 1])
+        & (y <= shapes[s, HIGH + 1])
+        & (z >= shapes[s, LOW + 2])
+        & (z <= shapes[s, HIGH + 2])
+    )
+
+
+@njit(cache=True, error_model="numpy")
+def _sort(order, key, n):
+    """Sorts the first n numbers in `order` by their key (Shell's method)."""
+    for gap in _GAPS:
+        for i in range(gap, n):
+            this = order[i]
+            j = i
+            while j >= gap and key[order[j - gap]] > key[this]:
+                order[j] = order[j - gap]
+                j -= gap
+            order[j] = this
 
 
 @njit(cache=True, error_model="numpy")
@@ -329,8 +333,8 @@ def cast_bundles(X_WF, scene, bundles, active, which, fan, cones):
         bundles: See the columns above, shape (m, 14).
         active: Whether bundle i is cast against shape s, bool, (m, n).
         which: Whether bundle i is cast at all, bool, (m,).
-        fan: Unit directions in S, sorted into groups, and the place of each
-            ray in the results, shape (k, 4).
+        fan: Unit directions in S (x, y, z), sorted into groups, and the place
+            of each ray in the results, shape (4, k).
         cones: Axis, cosine and sine of half the opening angle of a cone
             around all rays, then of one around each group of rays, with the
             first ray and the one behind the last, shape (1 + groups, 7).
@@ -338,176 +342,291 @@ def cast_bundles(X_WF, scene, bundles, active, which, fan, cones):
     Returns:
         (status, distance (m, k), index (m, k)).
     """
-    shapes, planes, nodes, triangles = scene
-    m, n, k = bundles.shape[0], shapes.shape[0], fan.shape[0]
+    shapes, balls, planes, nodes, triangles = scene
+    m, n, k = bundles.shape[0], shapes.shape[0], fan.shape[1]
     groups = cones.shape[0] - 1
     distance = np.empty((m, k))
     index = np.empty((m, k), dtype=np.int64)
     if not are_poses(X_WF):
         return BAD_POSE, distance, index
-    p_WC = _calc_centres(X_WF, shapes)
+    posed = _pose_balls(X_WF, balls)
+    num_balls = posed.shape[1]
+    flags, words = _make_mask(num_balls)
+    pending = np.empty(balls.shape[0], dtype=np.int64)
     X_WS = np.empty((3, 4))
     X_WG = np.empty((3, 4))
-    # Of the bundle's rays, sorted: the nearest hit so far.
+    # Of the bundle's rays, sorted: the nearest hit so far, and the next.
     best = np.empty(k)
     hit = np.empty(k, dtype=np.int64)
-    # Of the shapes that the bundle may see: number; squared distance of the
-    # centre; centre in S; the least that a ray which hits goes towards it.
+    t = np.empty(k)
+    # Of the shapes that the bundle may see: number; least distance, negative
+    # if it starts inside; origin and rotation in G; order, nearest first.
     near_shape = np.empty(n, dtype=np.int64)
-    near_gap2 = np.empty(n)
-    near_centre = np.empty((n, 3))
-    near_tangent = np.empty(n)
-    # Not posed yet (0), or the origin is outside (1) or inside (2).
-    near_state = np.empty(n, dtype=np.int64)
-    p_GS = np.empty((n, 3))
-    R_GS = np.empty((n, 3, 3))
+    near_enter = np.empty(n)
+    near = np.empty((n, NEAR_COLUMNS))
+    p_G = np.empty(3)
+    order = np.empty(n, dtype=np.int64)
     stack = np.empty((2, STACK))
     for i in range(m):
         if not which[i]:
             distance[i] = np.inf
             index[i] = -1
             continue
-        _compose(X_WF[int(bundles[i, BUNDLE_FRAME])], bundles[i], X_WS)
+        _compose(X_WF, int(bundles[i, BUNDLE_FRAME]), bundles, i, X_WS)
         reach = bundles[i, BUNDLE_RANGE]
         ox, oy, oz = X_WS[0, 3], X_WS[1, 3], X_WS[2, 3]
         ax, ay, az = cones[0, 0], cones[0, 1], cones[0, 2]
-        cos, sin = cones[0, 3], cones[0, 4]
+        cos, sin = max(cones[0, 3], 0.0), cones[0, 4]
+        cos2 = cos * cos
+        floor = 0.0 if cos > 0.0 else -np.inf
         ux = X_WS[0, 0] * ax + X_WS[0, 1] * ay + X_WS[0, 2] * az
         uy = X_WS[1, 0] * ax + X_WS[1, 1] * ay + X_WS[1, 2] * az
         uz = X_WS[2, 0] * ax + X_WS[2, 1] * ay + X_WS[2, 2] * az
-        near = 0
-        for s in range(n):
-            if not active[i, s]:
+        for b in range(num_balls):
+            flags[b] = _may_see_ball(
+                posed[0, b] - ox,
+                posed[1, b] - oy,
+                posed[2, b] - oz,
+                posed[3, b],
+                ux,
+                uy,
+                uz,
+                cos2,
+                sin,
+                floor,
+                reach,
+            )
+        num_near = 0
+        for w in range(words.shape[0]):
+            if words[w] == 0:
                 continue
-            x, y, z = p_WC[0, s] - ox, p_WC[1, s] - oy, p_WC[2, s] - oz
-            gap2 = x * x + y * y + z * z
-            radius = shapes[s, RADIUS]
-            if gap2 > radius * radius:
-                if gap2 > (reach + radius) * (reach + radius) or _cone_misses(
-                    x * ux + y * uy + z * uz, gap2, radius, cos, sin
-                ):
+            for b in range(8 * w, min(8 * w + 8, num_balls)):
+                if flags[b] == 0:
                     continue
-                near_tangent[near] = np.sqrt(
-                    gap2 - radius * radius
-                ) - _MARGIN * np.sqrt(gap2)
-            else:
-                near_tangent[near] = -np.inf
-            near_shape[near] = s
-            near_gap2[near] = gap2
-            near_state[near] = 0
-            for j in range(3):
-                near_centre[near, j] = (
-                    X_WS[0, j] * x + X_WS[1, j] * y + X_WS[2, j] * z
-                )
-            near += 1
-        # A hit at exactly the range counts, hence the next number.
-        best[:] = np.nextafter(reach, np.inf)
-        hit[:] = -1
-        for g in range(1, 1 + groups):
-            first, last = int(cones[g, 5]), int(cones[g, 6])
-            for q in range(near):
-                s = near_shape[q]
-                cx, cy, cz = (
-                    near_centre[q, 0],
-                    near_centre[q, 1],
-                    near_centre[q, 2],
-                )
-                tangent = near_tangent[q]
-                if (
-                    groups > 1
-                    and tangent > -np.inf
-                    and _cone_misses(
-                        cx * cones[g, 0] + cy * cones[g, 1] + cz * cones[g, 2],
-                        near_gap2[q],
-                        shapes[s, RADIUS],
-                        cones[g, 3],
-                        cones[g, 4],
+                pending[0] = 1 + b
+                top = 1
+                while top > 0:
+                    top -= 1
+                    ball = pending[top]
+                    child = int(balls[ball, BALL_FIRST])
+                    count = int(balls[ball, BALL_COUNT])
+                    if count > 0:
+                        for c in range(child, child + count):
+                            x, y, z = _pose_ball(X_WF, balls, c)
+                            if _may_see_ball(
+                                x - ox,
+                                y - oy,
+                                z - oz,
+                                balls[c, BALL_RADIUS],
+                                ux,
+                                uy,
+                                uz,
+                                cos2,
+                                sin,
+                                floor,
+                                reach,
+                            ):
+                                pending[top] = c
+                                top += 1
+                        continue
+                    if not active[i, child]:
+                        continue
+                    _pose_bundle(
+                        X_WF, shapes, child, X_WS, X_WG, near, num_near
                     )
-                ):
-                    continue
-                kind = int(shapes[s, KIND])
-                a = shapes[s, SIZE]
-                b = shapes[s, SIZE + 1]
-                c = shapes[s, SIZE + 2]
-                part, parts = int(shapes[s, DATA]), int(shapes[s, DATA + 1])
-                if near_state[q] == 0:
-                    _pose_bundle(shapes, s, X_WF, X_WS, X_WG, p_GS, R_GS, q)
-                    inside = False
-                    if tangent == -np.inf:
-                        if kind == CONVEX:
-                            inside = is_inside_convex(
-                                planes, part, parts, p_GS[q]
-                            )
-                        elif kind == MESH:
-                            inside = parts == 1 and is_inside_mesh(
-                                nodes, triangles, part, p_GS[q]
+                    enter = _enter_shape_box(
+                        shapes, child, near, num_near, cones, 0, reach
+                    )
+                    if enter == np.inf:
+                        continue
+                    if enter == 0.0:
+                        x, y, z = (
+                            near[num_near, 0],
+                            near[num_near, 1],
+                            near[num_near, 2],
+                        )
+                        kind = int(shapes[child, KIND])
+                        if not _is_in_box(shapes, child, x, y, z):
+                            inside = False
+                        elif kind < CONVEX:
+                            inside = is_in_primitive(
+                                kind,
+                                x,
+                                y,
+                                z,
+                                shapes[child, SIZE],
+                                shapes[child, SIZE + 1],
+                                shapes[child, SIZE + 2],
                             )
                         else:
-                            inside = _is_in_primitive(
-                                kind,
-                                p_GS[q, 0],
-                                p_GS[q, 1],
-                                p_GS[q, 2],
-                                a,
-                                b,
-                                c,
+                            p_G[0], p_G[1], p_G[2] = x, y, z
+                            part = int(shapes[child, DATA])
+                            parts = int(shapes[child, DATA + 1])
+                            inside = (
+                                is_inside_convex(planes, part, parts, p_G)
+                                if kind == CONVEX
+                                else parts == 1
+                                and is_inside_mesh(nodes, triangles, part, p_G)
                             )
-                    near_state[q] = 2 if inside else 1
-                if near_state[q] == 2:
-                    for j in range(first, last):
-                        if best[j] > 0.0:
-                            best[j] = 0.0
-                            hit[j] = s
-                    continue
-                px, py, pz = p_GS[q, 0], p_GS[q, 1], p_GS[q, 2]
-                if kind == HALF_SPACE and pz > reach:
-                    continue
-                for j in range(first, last):
-                    x, y, z = fan[j, 0], fan[j, 1], fan[j, 2]
-                    if cx * x + cy * y + cz * z < tangent:
-                        continue
-                    dx = (
-                        R_GS[q, 0, 0] * x
-                        + R_GS[q, 0, 1] * y
-                        + R_GS[q, 0, 2] * z
-                    )
-                    dy = (
-                        R_GS[q, 1, 0] * x
-                        + R_GS[q, 1, 1] * y
-                        + R_GS[q, 1, 2] * z
-                    )
-                    dz = (
-                        R_GS[q, 2, 0] * x
-                        + R_GS[q, 2, 1] * y
-                        + R_GS[q, 2, 2] * z
-                    )
-                    # No function of the whole scene: handing its tables over
-                    # for each ray would cost more than the primitives do.
-                    if kind == CONVEX:
-                        t, _ = cast_convex(
-                            planes, part, parts, p_GS[q], dx, dy, dz
-                        )
-                    elif kind == MESH:
-                        t, _ = cast_mesh(
-                            nodes,
-                            triangles,
-                            part,
-                            p_GS[q],
-                            dx,
-                            dy,
-                            dz,
-                            best[j],
-                            stack,
-                        )
-                    else:
-                        t = _cast_primitive(
-                            kind, px, py, pz, dx, dy, dz, a, b, c
-                        )
-                    if t < best[j]:
-                        best[j] = t
-                        hit[j] = s
+                        if inside:
+                            enter = -1.0
+                    near_shape[num_near] = child
+                    near_enter[num_near] = enter
+                    order[num_near] = num_near
+                    num_near += 1
+        _sort(order, near_enter, num_near)
+        # A hit at exactly the range counts, hence the next number.
+        limit = np.nextafter(reach, np.inf)
         for j in range(k):
-            place = int(fan[j, 3])
+            best[j] = limit
+            hit[j] = -1
+        for g in range(1, 1 + groups):
+            # Unsigned: a negative index would count from the end.
+            first, last = np.uint64(cones[g, 5]), np.uint64(cones[g, 6])
+            for o in range(num_near):
+                q = order[o]
+                s = near_shape[q]
+                if near_enter[q] < 0.0:
+                    for j in range(first, last):
+                        t[j] = 0.0
+                else:
+                    worst = 0.0
+                    for j in range(first, last):
+                        worst = max(worst, best[j])
+                    if near_enter[q] > worst:
+                        break
+                    if groups > 1 and (
+                        _enter_shape_box(shapes, s, near, q, cones, g, worst)
+                        == np.inf
+                    ):
+                        continue
+                    kind = int(shapes[s, KIND])
+                    a = shapes[s, SIZE]
+                    b = shapes[s, SIZE + 1]
+                    c = shapes[s, SIZE + 2]
+                    part, parts = int(shapes[s, DATA]), int(shapes[s, DATA + 1])
+                    px, py, pz = near[q, 0], near[q, 1], near[q, 2]
+                    xx, xy, xz = near[q, 3], near[q, 4], near[q, 5]
+                    yx, yy, yz = near[q, 6], near[q, 7], near[q, 8]
+                    zx, zy, zz = near[q, 9], near[q, 10], near[q, 11]
+                    p_G[0], p_G[1], p_G[2] = px, py, pz
+                    # A loop for each kind: a compiler takes several rays at
+                    # a time. No function: each table that is handed over
+                    # costs as much as two rays.
+                    if kind == SPHERE:
+                        for j in range(first, last):
+                            dx = (
+                                xx * fan[0, j] + xy * fan[1, j] + xz * fan[2, j]
+                            )
+                            dy = (
+                                yx * fan[0, j] + yy * fan[1, j] + yz * fan[2, j]
+                            )
+                            dz = (
+                                zx * fan[0, j] + zy * fan[1, j] + zz * fan[2, j]
+                            )
+                            t[j] = cast_sphere(px, py, pz, dx, dy, dz, a)
+                    elif kind == CAPSULE:
+                        for j in range(first, last):
+                            dx = (
+                                xx * fan[0, j] + xy * fan[1, j] + xz * fan[2, j]
+                            )
+                            dy = (
+                                yx * fan[0, j] + yy * fan[1, j] + yz * fan[2, j]
+                            )
+                            dz = (
+                                zx * fan[0, j] + zy * fan[1, j] + zz * fan[2, j]
+                            )
+                            t[j] = cast_capsule(px, py, pz, dx, dy, dz, a, b)
+                    elif kind == CYLINDER:
+                        for j in range(first, last):
+                            dx = (
+                                xx * fan[0, j] + xy * fan[1, j] + xz * fan[2, j]
+                            )
+                            dy = (
+                                yx * fan[0, j] + yy * fan[1, j] + yz * fan[2, j]
+                            )
+                            dz = (
+                                zx * fan[0, j] + zy * fan[1, j] + zz * fan[2, j]
+                            )
+                            t[j] = cast_cylinder(px, py, pz, dx, dy, dz, a, b)
+                    elif kind == BOX:
+                        for j in range(first, last):
+                            dx = (
+                                xx * fan[0, j] + xy * fan[1, j] + xz * fan[2, j]
+                            )
+                            dy = (
+                                yx * fan[0, j] + yy * fan[1, j] + yz * fan[2, j]
+                            )
+                            dz = (
+                                zx * fan[0, j] + zy * fan[1, j] + zz * fan[2, j]
+                            )
+                            t[j] = cast_box(px, py, pz, dx, dy, dz, a, b, c)
+                    elif kind == HALF_SPACE:
+                        for j in range(first, last):
+                            dz = (
+                                zx * fan[0, j] + zy * fan[1, j] + zz * fan[2, j]
+                            )
+                            t[j] = cast_half_space(pz, dz)
+                    elif kind == ELLIPSOID:
+                        for j in range(first, last):
+                            dx = (
+                                xx * fan[0, j] + xy * fan[1, j] + xz * fan[2, j]
+                            )
+                            dy = (
+                                yx * fan[0, j] + yy * fan[1, j] + yz * fan[2, j]
+                            )
+                            dz = (
+                                zx * fan[0, j] + zy * fan[1, j] + zz * fan[2, j]
+                            )
+                            t[j] = cast_ellipsoid(
+                                px, py, pz, dx, dy, dz, a, b, c
+                            )
+                    elif kind == CONVEX:
+                        for j in range(first, last):
+                            dx = (
+                                xx * fan[0, j] + xy * fan[1, j] + xz * fan[2, j]
+                            )
+                            dy = (
+                                yx * fan[0, j] + yy * fan[1, j] + yz * fan[2, j]
+                            )
+                            dz = (
+                                zx * fan[0, j] + zy * fan[1, j] + zz * fan[2, j]
+                            )
+                            t[j], _ = cast_convex(
+                                planes, part, parts, p_G, dx, dy, dz
+                            )
+                    else:
+                        for j in range(first, last):
+                            dx = (
+                                xx * fan[0, j] + xy * fan[1, j] + xz * fan[2, j]
+                            )
+                            dy = (
+                                yx * fan[0, j] + yy * fan[1, j] + yz * fan[2, j]
+                            )
+                            dz = (
+                                zx * fan[0, j] + zy * fan[1, j] + zz * fan[2, j]
+                            )
+                            # The next number: an equal hit may count.
+                            limit = np.nextafter(best[j], np.inf)
+                            t[j], _ = cast_mesh(
+                                nodes,
+                                triangles,
+                                part,
+                                p_G,
+                                dx,
+                                dy,
+                                dz,
+                                limit,
+                                stack,
+                            )
+                for j in range(first, last):
+                    nearer = (t[j] < best[j]) | (
+                        (t[j] == best[j]) & (s < hit[j])
+                    )
+                    best[j] = t[j] if nearer else best[j]
+                    hit[j] = s if nearer else hit[j]
+        for j in range(k):
+            place = int(fan[3, j])
             index[i, place] = hit[j]
             distance[i, place] = best[j] if hit[j] >= 0 else np.inf
     return OK, distance, index
@@ -521,6 +640,24 @@ def _pose_in_shape(X_WG, p_WR, p_GR):
     z = p_WR[2] - X_WG[2, 3]
     for row in range(3):
         p_GR[row] = X_WG[0, row] * x + X_WG[1, row] * y + X_WG[2, row] * z
+
+
+@njit(cache=True, error_model="numpy", forceinline=True)
+def _may_hit_ball(x, y, z, radius, ex, ey, ez, reach):
+    """Returns whether a ray may hit a ball; without a branch."""
+    gap2 = x * x + y * y + z * z
+    along = max(x * ex + y * ey + z * ez, 0.0)
+    far = reach + radius
+    return (gap2 * (1.0 - _MARGIN) - along * along <= radius * radius) & (
+        gap2 * (1.0 - _MARGIN) <= far * far
+    )
+
+
+@njit(cache=True, error_model="numpy", forceinline=True)
+def _rotate(X_WG, s, axis, x, y, z, ex, ey, ez):
+    """Returns a component of two vectors of the world in shape s."""
+    a, b, c = X_WG[s, 0, axis], X_WG[s, 1, axis], X_WG[s, 2, axis]
+    return a * x + b * y + c * z, a * ex + b * ey + c * ez
 
 
 @njit(cache=True, error_model="numpy")
@@ -538,24 +675,20 @@ def cast_rays(X_WF, scene, active, p_WR, n_WR, reach):
     Returns:
         (status, distance (rays,), index (rays,)).
     """
-    shapes, planes, nodes, triangles = scene
+    shapes, balls, planes, nodes, triangles = scene
     rays, n = p_WR.shape[0], shapes.shape[0]
     distance = np.full(rays, np.inf)
     index = np.full(rays, -1, dtype=np.int64)
     if not are_poses(X_WF):
         return BAD_POSE, distance, index
-    p_WC = _calc_centres(X_WF, shapes)
+    posed = _pose_balls(X_WF, balls)
+    num_balls = posed.shape[1]
+    flags, words = _make_mask(num_balls)
+    pending = np.empty(balls.shape[0], dtype=np.int64)
+    X = np.empty((3, 4))
     X_WG = np.empty((n, 3, 4))
-    radius2 = np.empty(n)
-    limit2 = np.empty(n)
-    for s in range(n):
-        _compose(X_WF[int(shapes[s, FRAME])], shapes[s], X_WG[s])
-        radius = shapes[s, RADIUS]
-        # No ball is smaller than nothing.
-        radius2[s] = radius * radius if active[s] else -np.inf
-        limit2[s] = (reach + radius) * (reach + radius)
-    p_GR = np.empty(3)
-    may_hit = np.empty(n, dtype=np.bool_)
+    is_posed = np.zeros(n, dtype=np.bool_)
+    p = np.empty(3)
     stack = np.empty((2, STACK))
     limit = np.nextafter(reach, np.inf)
     for i in range(rays):
@@ -565,122 +698,125 @@ def cast_rays(X_WF, scene, active, p_WR, n_WR, reach):
         if not (abs(length - 1.0) <= 1e-6 and np.isfinite(ox + oy + oz)):
             return BAD_RAY, distance, index
         ex, ey, ez = ex / length, ey / length, ez / length
-        # Without branches, which lets the compiler use vectors.
-        for s in range(n):
-            x, y, z = p_WC[0, s] - ox, p_WC[1, s] - oy, p_WC[2, s] - oz
-            gap2 = x * x + y * y + z * z
-            along = max(x * ex + y * ey + z * ez, 0.0)
-            may_hit[s] = (
-                gap2 * (1.0 - _MARGIN) - along * along <= radius2[s]
-            ) & (gap2 <= limit2[s])
+        for b in range(num_balls):
+            flags[b] = _may_hit_ball(
+                posed[0, b] - ox,
+                posed[1, b] - oy,
+                posed[2, b] - oz,
+                posed[3, b],
+                ex,
+                ey,
+                ez,
+                reach,
+            )
         best = limit
         hit = -1
-        for s in range(n):
-            if not may_hit[s]:
+        for w in range(words.shape[0]):
+            if words[w] == 0:
                 continue
-            x = ox - X_WG[s, 0, 3]
-            y = oy - X_WG[s, 1, 3]
-            z = oz - X_WG[s, 2, 3]
-            px = X_WG[s, 0, 0] * x + X_WG[s, 1, 0] * y + X_WG[s, 2, 0] * z
-            py = X_WG[s, 0, 1] * x + X_WG[s, 1, 1] * y + X_WG[s, 2, 1] * z
-            pz = X_WG[s, 0, 2] * x + X_WG[s, 1, 2] * y + X_WG[s, 2, 2] * z
-            dx = X_WG[s, 0, 0] * ex + X_WG[s, 1, 0] * ey + X_WG[s, 2, 0] * ez
-            dy = X_WG[s, 0, 1] * ex + X_WG[s, 1, 1] * ey + X_WG[s, 2, 1] * ez
-            dz = X_WG[s, 0, 2] * ex + X_WG[s, 1, 2] * ey + X_WG[s, 2, 2] * ez
-            x, y, z = p_WC[0, s] - ox, p_WC[1, s] - oy, p_WC[2, s] - oz
-            is_near = x * x + y * y + z * z <= radius2[s]
-            inside = False
-            t = np.inf
-            kind = int(shapes[s, KIND])
-            if kind < CONVEX:
-                a = shapes[s, SIZE]
-                b = shapes[s, SIZE + 1]
-                c = shapes[s, SIZE + 2]
-                inside = is_near and _is_in_primitive(kind, px, py, pz, a, b, c)
-                if not inside:
-                    t = _cast_primitive(kind, px, py, pz, dx, dy, dz, a, b, c)
-            else:
-                part, parts = int(shapes[s, DATA]), int(shapes[s, DATA + 1])
-                p_GR[0], p_GR[1], p_GR[2] = px, py, pz
-                if kind == CONVEX:
-                    inside = is_near and is_inside_convex(
-                        planes, part, parts, p_GR
-                    )
-                    if not inside:
-                        t, _ = cast_convex(
-                            planes, part, parts, p_GR, dx, dy, dz
-                        )
-                else:
-                    inside = (
-                        is_near
-                        and parts == 1
-                        and is_inside_mesh(nodes, triangles, part, p_GR)
-                    )
-                    if not inside:
-                        t, _ = cast_mesh(
-                            nodes,
-                            triangles,
-                            part,
-                            p_GR,
-                            dx,
-                            dy,
-                            dz,
-                            best,
-                            stack,
-                        )
-            if inside:
-                best = 0.0
-                hit = s
-                break
-            if t < best:
-                best = t
-                hit = s
+            for b in range(8 * w, min(8 * w + 8, num_balls)):
+                if flags[b] == 0:
+                    continue
+                pending[0] = 1 + b
+                top = 1
+                while top > 0:
+                    top -= 1
+                    ball = pending[top]
+                    s = int(balls[ball, BALL_FIRST])
+                    count = int(balls[ball, BALL_COUNT])
+                    if count > 0:
+                        for c in range(s, s + count):
+                            x, y, z = _pose_ball(X_WF, balls, c)
+                            if _may_hit_ball(
+                                x - ox,
+                                y - oy,
+                                z - oz,
+                                balls[c, BALL_RADIUS],
+                                ex,
+                                ey,
+                                ez,
+                                best,
+                            ):
+                                pending[top] = c
+                                top += 1
+                        continue
+                    if not active[s]:
+                        continue
+                    if not is_posed[s]:
+                        _compose(X_WF, int(shapes[s, FRAME]), shapes, s, X)
+                        for row in range(3):
+                            for column in range(4):
+                                X_WG[s, row, column] = X[row, column]
+                        is_posed[s] = True
+                    x = ox - X_WG[s, 0, 3]
+                    y = oy - X_WG[s, 1, 3]
+                    z = oz - X_WG[s, 2, 3]
+                    px, dx = _rotate(X_WG, s, 0, x, y, z, ex, ey, ez)
+                    py, dy = _rotate(X_WG, s, 1, x, y, z, ex, ey, ez)
+                    pz, dz = _rotate(X_WG, s, 2, x, y, z, ex, ey, ez)
+                    may_be_inside = _is_in_box(shapes, s, px, py, pz)
+                    kind = int(shapes[s, KIND])
+                    part = int(shapes[s, DATA])
+                    parts = int(shapes[s, DATA + 1])
+                    if kind < CONVEX:
+                        size_x = shapes[s, SIZE]
+                        size_y = shapes[s, SIZE + 1]
+                        size_z = shapes[s, SIZE + 2]
+                        if may_be_inside and is_in_primitive(
+                            kind, px, py, pz, size_x, size_y, size_z
+                        ):
+                            t = 0.0
+                        else:
+                            t = cast_primitive(
+                                kind,
+                                px,
+                                py,
+                                pz,
+                                dx,
+                                dy,
+                                dz,
+                                size_x,
+                                size_y,
+                                size_z,
+                            )
+                    elif kind == CONVEX:
+                        p[0], p[1], p[2] = px, py, pz
+                        if may_be_inside and is_inside_convex(
+                            planes, part, parts, p
+                        ):
+                            t = 0.0
+                        else:
+                            t, _ = cast_convex(
+                                planes, part, parts, p, dx, dy, dz
+                            )
+                    else:
+                        p[0], p[1], p[2] = px, py, pz
+                        if (
+                            may_be_inside
+                            and parts == 1
+                            and is_inside_mesh(nodes, triangles, part, p)
+                        ):
+                            t = 0.0
+                        else:
+                            # The next number: an equal hit may count.
+                            t, _ = cast_mesh(
+                                nodes,
+                                triangles,
+                                part,
+                                p,
+                                dx,
+                                dy,
+                                dz,
+                                np.nextafter(best, np.inf),
+                                stack,
+                            )
+                    if t < best or (t == best and s < hit):
+                        best = t
+                        hit = s
         if hit >= 0:
             distance[i] = best
             index[i] = hit
     return OK, distance, index
-
-
-@njit(cache=True, error_model="numpy")
-def _find_normal(kind, a, b, c, x, y, z, dx, dy, dz):
-    """Returns the direction of a primitive's normal at (x, y, z), in G.
-
-    On an edge there are several; the one that faces the ray most is taken.
-    """
-    if kind == SPHERE:
-        return x, y, z
-    if kind == CAPSULE:
-        return x, y, z - min(max(z, -b), b)
-    if kind == ELLIPSOID:
-        return x / (a * a), y / (b * b), z / (c * c)
-    if kind == CYLINDER:
-        tube = np.sqrt(x * x + y * y)
-        side, end = tube - a, abs(z) - b
-        up = np.copysign(1.0, z)
-        if abs(side - end) < _MARGIN * (a + b):
-            is_end = up * dz < (x * dx + y * dy) / tube
-        else:
-            is_end = end > side
-        return (0.0, 0.0, up) if is_end else (x, y, 0.0)
-    if kind == BOX:
-        # How far the ray goes against each side's normal; the sides that the
-        # point is not on do not count.
-        ux, uy, uz = (
-            np.copysign(1.0, x),
-            np.copysign(1.0, y),
-            np.copysign(1.0, z),
-        )
-        rx, ry, rz = abs(x) - a, abs(y) - b, abs(z) - c
-        on = max(rx, max(ry, rz)) - _MARGIN * (a + b + c)
-        fx = -dx * ux if rx >= on else -np.inf
-        fy = -dy * uy if ry >= on else -np.inf
-        fz = -dz * uz if rz >= on else -np.inf
-        if fx >= fy and fx >= fz:
-            return ux, 0.0, 0.0
-        if fy >= fz:
-            return 0.0, uy, 0.0
-        return 0.0, 0.0, uz
-    return 0.0, 0.0, 1.0
 
 
 @njit(cache=True, error_model="numpy")
@@ -713,7 +849,7 @@ def calc_normals(X_WF, scene, p_WR, n_WR, distance, index):
     Returns:
         Normals in the world, shape (rays, 3).
     """
-    shapes, planes, nodes, triangles = scene
+    shapes, _, planes, nodes, triangles = scene
     rays = p_WR.shape[0]
     normals = np.full((rays, 3), np.nan)
     X = np.empty((3, 4))
@@ -724,7 +860,7 @@ def calc_normals(X_WF, scene, p_WR, n_WR, distance, index):
         t = distance[i]
         if s < 0 or not t > 0.0:
             continue
-        _compose(X_WF[int(shapes[s, FRAME])], shapes[s], X)
+        _compose(X_WF, int(shapes[s, FRAME]), shapes, s, X)
         _pose_in_shape(X, p_WR[i], p)
         dx = X[0, 0] * n_WR[i, 0] + X[1, 0] * n_WR[i, 1] + X[2, 0] * n_WR[i, 2]
         dy = X[0, 1] * n_WR[i, 0] + X[1, 1] * n_WR[i, 1] + X[2, 1] * n_WR[i, 2]
@@ -744,7 +880,7 @@ def calc_normals(X_WF, scene, p_WR, n_WR, distance, index):
                 continue
             x, y, z = _find_triangle_normal(triangles, part, dx, dy, dz)
         else:
-            x, y, z = _find_normal(
+            x, y, z = find_normal(
                 kind,
                 shapes[s, SIZE],
                 shapes[s, SIZE + 1],

@@ -1,0 +1,224 @@
+"""The closed loop's own cell as a scene for ray casters.
+
+Robot, gripper, tables, box, ten products and a person, in states that follow
+one another as the rings sample them.
+"""
+
+import dataclasses as dc
+
+import numpy as np
+from pydrake.common import MemoryFile
+from pydrake.common.value import Value
+from pydrake.geometry import (
+    Capsule,
+    Cylinder,
+    FramePoseVector,
+    InMemoryMesh,
+    Mesh,
+    SceneGraph,
+    Sphere,
+)
+from pydrake.math import RigidTransform
+from pydrake.systems.framework import DiagramBuilder
+
+from tofssm_drake.diagrams.scenario import load_scenario
+from tofssm_drake.geometry.ray_caster import RayCaster
+from tofssm_drake.geometry.triangle_mesh import read_mesh
+from tofssm_drake.human.avatar import HumanAvatar
+from tofssm_drake.human.motion import capsule_ends
+from tofssm_drake.human.skeleton import calc_capsule_poses
+from tofssm_drake.human.walk import make_walk
+from tofssm_drake.messages import RINGS
+from tofssm_drake.robot.kinematics import RingKinematics
+from tofssm_drake.robot.products import ProductLayout
+from tofssm_drake.robot.program import make_program_path
+from tofssm_drake.robot.twin import (
+    TwinPoses,
+    calc_twin_positions,
+    make_twin_plant,
+)
+from tofssm_drake.sensing.ring_mount import find_ring_mount
+from tofssm_drake.sensing.tof_rings import make_ring_bundles
+
+NUM_STATES = 256
+
+
+@dc.dataclass(frozen=True, eq=False, kw_only=True)
+class State:
+    """What robot and avatar tell at one time."""
+
+    q: np.ndarray
+    gripper_closed: float
+    products_placed: int
+    ends: np.ndarray
+    """Of the person's capsules, (c, 2, 3)."""
+    positions: np.ndarray
+    """Of the plant: joints, then products."""
+    person_poses: FramePoseVector
+
+
+class Scene:
+    """The cell, its states, and both ways to cast the rings' rays.
+
+    Args:
+        sensors: Per ring, 8 or 16.
+        meshes: Robot's real meshes, and a person of meshes.
+    """
+
+    def __init__(self, *, sensors: int, meshes: bool):
+        scenario = load_scenario(name="Default")
+        builder = DiagramBuilder()
+        self.scene_graph = builder.AddSystem(SceneGraph())
+        self.plant = builder.AddSystem(
+            make_twin_plant(
+                scene_graph=self.scene_graph,
+                sensors_per_ring=sensors,
+                meshes=meshes,
+            )
+        )
+        builder.Connect(
+            self.plant.get_geometry_pose_output_port(),
+            self.scene_graph.get_source_pose_port(self.plant.get_source_id()),
+        )
+        motion = make_walk(scenario.human, scenario.control_period)
+        # It registers the person; its poses are set from outside.
+        avatar = HumanAvatar(scene_graph=self.scene_graph, motion=motion)
+        if meshes:
+            _turn_into_meshes(self.scene_graph, avatar)
+        diagram = builder.Build()
+        context = diagram.CreateDefaultContext()
+        self.plant_context = self.plant.GetMyMutableContextFromRoot(context)
+        self.scene_context = self.scene_graph.GetMyMutableContextFromRoot(
+            context
+        )
+        self._diagram, self._context = diagram, context
+
+        inspector = self.scene_graph.model_inspector()
+        self.caster = RayCaster(inspector)
+        self.mounts = [
+            find_ring_mount(self.plant, inspector, ring) for ring in RINGS
+        ]
+        self.bundles = make_ring_bundles(
+            config=scenario.rings, caster=self.caster, mounts=self.mounts
+        )
+        self.max_range = float(self.bundles.max_range[0])
+        layout = ProductLayout.from_config(scenario.program)
+        kinematics = RingKinematics.from_plant(self.plant)
+        others = self.caster.frame_ids[: -len(avatar.frame_ids)]
+        assert self.caster.frame_ids == [*others, *avatar.frame_ids]
+        self._num_others = len(others)
+        self._twin_poses = TwinPoses.from_plant(
+            self.plant, layout=layout, frame_ids=others
+        )
+        path = make_program_path(scenario.program, kinematics)
+        self.states = []
+        for i in range(NUM_STATES):
+            # A scan every so often, over the middle of the whole task.
+            time = 0.3 * path.duration + i * scenario.rings.period
+            ends = capsule_ends(motion, time)
+            reported = {
+                "q": path.calc_motion(time)[0],
+                "gripper_closed": float(path.calc_gripper_closed(time)),
+                "products_placed": path.calc_products_placed(time),
+            }
+            poses = np.empty((len(ends), 3, 4))
+            calc_capsule_poses(ends, poses)
+            person_poses = FramePoseVector()
+            for frame_id, pose in zip(avatar.frame_ids, poses, strict=True):
+                person_poses.set_value(
+                    frame_id, RigidTransform.MakeUnchecked(pose)
+                )
+            self.states.append(
+                State(
+                    ends=ends,
+                    positions=calc_twin_positions(
+                        layout=layout, kinematics=kinematics, **reported
+                    ),
+                    person_poses=person_poses,
+                    **reported,
+                )
+            )
+        self._person_port = self.scene_graph.get_source_pose_port(
+            avatar.source_id
+        ).FixValue(self.scene_context, Value(self.states[0].person_poses))
+        self._query_port = self.scene_graph.get_query_output_port()
+        self.X_WF = np.array([self.calc_poses(i) for i in range(NUM_STATES)])
+        self.rays = [self.caster.calc_rays(self.bundles, X) for X in self.X_WF]
+
+    def count_triangles(self) -> int:
+        """Returns how many triangles all meshes have."""
+        inspector = self.scene_graph.model_inspector()
+        shapes = map(inspector.GetShape, self.caster.geometry_ids)
+        return sum(
+            len(read_mesh(shape, "mesh").triangles)
+            for shape in shapes
+            if isinstance(shape, Mesh)
+        )
+
+    def calc_poses(self, i: int) -> np.ndarray:
+        """Returns all frames' poses as the closed loop does."""
+        state = self.states[i]
+        X_WF = np.empty((self._num_others + len(state.ends), 3, 4))
+        self._twin_poses.calc(
+            state.q,
+            state.gripper_closed,
+            state.products_placed,
+            X_WF[: self._num_others],
+        )
+        calc_capsule_poses(state.ends, X_WF[self._num_others :])
+        return X_WF
+
+    def query_poses(self, i: int) -> np.ndarray:
+        """Returns them from Drake."""
+        state = self.states[i]
+        self.plant.SetPositions(self.plant_context, state.positions)
+        self._person_port.GetMutableData().set_value(state.person_poses)
+        return self.caster.poses_from_query_object(
+            self._query_port.Eval(self.scene_context)
+        )
+
+
+def _turn_into_meshes(scene_graph, avatar):
+    inspector = scene_graph.model_inspector()
+    for geometry_id in avatar.geometry_ids:
+        scene_graph.ChangeShape(
+            source_id=avatar.source_id,
+            geometry_id=geometry_id,
+            shape=tessellate(inspector.GetShape(geometry_id)),
+        )
+
+
+def tessellate(shape, around=16, along=14):
+    """Returns a mesh of a round shape, 2 `around` `along` triangles."""
+    assert isinstance(shape, Sphere | Capsule | Cylinder)
+    half = 0.0 if isinstance(shape, Sphere) else 0.5 * shape.length()
+    polar = np.pi * (np.arange(along) + 0.5) / along
+    turn = 2.0 * np.pi * np.arange(around) / around
+    rings = [
+        shape.radius()
+        * np.column_stack(
+            [
+                np.sin(a) * np.cos(turn),
+                np.sin(a) * np.sin(turn),
+                np.full(around, np.cos(a)),
+            ]
+        )
+        + [0.0, 0.0, np.copysign(half, np.cos(a))]
+        for a in polar
+    ]
+    top, bottom = rings[0].mean(axis=0), rings[-1].mean(axis=0)
+    vertices = np.vstack([*rings, top, bottom])
+    faces = []
+    for j in range(around):
+        k = (j + 1) % around
+        faces.append([len(vertices) - 2, j, k])
+        last = (along - 1) * around
+        faces.append([len(vertices) - 1, last + k, last + j])
+        for i in range(along - 1):
+            a, b = i * around, (i + 1) * around
+            faces += [[a + j, b + j, b + k], [a + j, b + k, a + k]]
+    text = "\n".join(
+        ["v {} {} {}".format(*v) for v in vertices]
+        + ["f {} {} {}".format(*(i + 1 for i in f)) for f in faces]
+    )
+    return Mesh(InMemoryMesh(mesh_file=MemoryFile(text, ".obj", "round")))
