@@ -1,6 +1,11 @@
 """The base class of the project's systems."""
 
+from pydrake.systems.framework import EventStatus
 from pydrake.systems.framework import LeafSystem as DrakeLeafSystem
+
+# What events return, made once.
+DID_NOTHING = EventStatus.DidNothing()
+SUCCEEDED = EventStatus.Succeeded()
 
 
 class LeafSystem(DrakeLeafSystem):

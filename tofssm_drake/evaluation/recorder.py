@@ -7,7 +7,6 @@ from pydrake.common.value import Value
 from pydrake.systems.framework import (
     Diagram,
     DiagramBuilder,
-    EventStatus,
     ValueProducer,
 )
 from pydrake.systems.primitives import Multiplexer, VectorLogSink
@@ -15,7 +14,10 @@ from pydrake.systems.primitives import Multiplexer, VectorLogSink
 from tofssm_drake.evaluation.ground_truth import TruthModel
 from tofssm_drake.evaluation.samples import RING_COLUMNS, Samples, narrow_type
 from tofssm_drake.human.motion import HumanMotion, capsule_ends
-from tofssm_drake.leaf_system import LeafSystem
+from tofssm_drake.leaf_system import (
+    DID_NOTHING,
+    LeafSystem,
+)
 from tofssm_drake.messages import (
     RINGS,
     MaskedScan,
@@ -218,7 +220,7 @@ class MessageLog(LeafSystem):
 
     def _update(self, context, discrete_state):
         self._record(context, context.get_time())
-        return EventStatus.DidNothing()
+        return DID_NOTHING
 
     def _record(self, context, time):
         log = self.find_log(context)

@@ -584,4 +584,4 @@ class PickAndPlaceProgram(LeafSystem):
             (self._task_done, s >= path.duration),
         ):
             if value != discrete_state.get_value(index)[0]:
-                discrete_state.set_value(index, [float(value)])
+                discrete_state.get_mutable_value(index)[0] = value

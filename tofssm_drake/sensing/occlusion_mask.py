@@ -12,14 +12,17 @@ from pydrake.common.value import Value
 from pydrake.systems.framework import (
     Context,
     DiscreteValues,
-    EventStatus,
     State,
 )
 
 from tofssm_drake.errors import require, require_period
 from tofssm_drake.geometry.fan import make_cone_fan
 from tofssm_drake.geometry.ray_caster import RayBundles, RayCaster
-from tofssm_drake.leaf_system import LeafSystem
+from tofssm_drake.leaf_system import (
+    DID_NOTHING,
+    SUCCEEDED,
+    LeafSystem,
+)
 from tofssm_drake.messages import RINGS, MaskedScan, Reading, RingScan
 from tofssm_drake.sensing.readings import (
     calc_self_interval,
@@ -674,7 +677,7 @@ class OcclusionMask(LeafSystem):
         sequence = [scan.sequence for scan in scans]
         last_sequence = state.get_discrete_state().get_value(self._sequence)
         if sequence == last_sequence.tolist():
-            return EventStatus.DidNothing()
+            return DID_NOTHING
         values = [
             state.get_mutable_abstract_state(index)
             for index in self._masked_scans
@@ -706,4 +709,4 @@ class OcclusionMask(LeafSystem):
             if new:
                 value.set_value(masked_scan)
         state.get_mutable_discrete_state().set_value(self._sequence, sequence)
-        return EventStatus.Succeeded()
+        return SUCCEEDED

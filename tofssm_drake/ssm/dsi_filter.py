@@ -5,10 +5,13 @@ import dataclasses as dc
 from numba import njit
 import numpy as np
 from pydrake.common.value import Value
-from pydrake.systems.framework import EventStatus
 
 from tofssm_drake.errors import require_period
-from tofssm_drake.leaf_system import LeafSystem
+from tofssm_drake.leaf_system import (
+    DID_NOTHING,
+    SUCCEEDED,
+    LeafSystem,
+)
 from tofssm_drake.messages import (
     RINGS,
     RingHealth,
@@ -327,5 +330,5 @@ class DsiFilter(LeafSystem):
             index.dsi,
             self._robot_state.Eval(context)[0],
         ):
-            return EventStatus.Succeeded()
-        return EventStatus.DidNothing()
+            return SUCCEEDED
+        return DID_NOTHING

@@ -6,7 +6,6 @@ import functools
 import math
 import threading
 
-from pydrake.systems.framework import EventStatus
 from ruckig import (
     ControlInterface,
     InputParameter,
@@ -17,7 +16,11 @@ from ruckig import (
 )
 
 from tofssm_drake.errors import require_period
-from tofssm_drake.leaf_system import LeafSystem
+from tofssm_drake.leaf_system import (
+    DID_NOTHING,
+    SUCCEEDED,
+    LeafSystem,
+)
 from tofssm_drake.messages import RobotState
 from tofssm_drake.ssm.config import SsmConfig
 
@@ -154,7 +157,7 @@ class SpeedFractionTrajectory(LeafSystem):
         (rate,) = discrete_state.get_value(self._rate).tolist()
         target = self._targets.get(self._robot_state.Eval(context)[0], 0.0)
         if rho == target and rate == 0.0:
-            return EventStatus.DidNothing()
+            return DID_NOTHING
         rho, rate = calc_next_speed_fraction(
             config=self._config,
             period=self._period,
@@ -164,4 +167,4 @@ class SpeedFractionTrajectory(LeafSystem):
         )
         discrete_state.get_mutable_value(self._rho)[0] = rho
         discrete_state.get_mutable_value(self._rate)[0] = rate
-        return EventStatus.Succeeded()
+        return SUCCEEDED
