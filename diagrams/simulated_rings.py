@@ -16,9 +16,11 @@ from tofssm_drake.hardware.ring_fault_injection import FaultInjector, RingFault
 from tofssm_drake.hardware.ring_frame import RingFrame
 from tofssm_drake.messages import RINGS
 
-# Longest time over which the robot's motion is carried on from its last
-# report, s: two of its control cycles and a little.
+# Longest times over which the robot's motion is carried on from its last
+# report, s: two of its control cycles and a little; and back from it, where a
+# busy computer wakes up late and the report is newer than what it is for.
 _CARRY_ON = 0.02
+_CARRY_BACK = 0.1
 
 # Events at a time happen once the time has gone past it.
 _PAST = 1e-6
@@ -42,13 +44,13 @@ class Report(Protocol):
 
 
 def carry_on(report: Report, now: float) -> np.ndarray:
-    """Returns where the joints are a little after a report, rad, (6,).
+    """Returns where the joints are shortly after or before a report, rad, (6,).
 
     Args:
         report: The newest.
-        now: Host's time, s.
+        now: Host's time for which it is asked, s.
     """
-    age = min(max(now - report.time, 0.0), _CARRY_ON)
+    age = min(max(now - report.time, -_CARRY_BACK), _CARRY_ON)
     return report.position + age * report.velocity
 
 

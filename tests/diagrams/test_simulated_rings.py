@@ -32,7 +32,10 @@ class TestCarryOn(unittest.TestCase):
     def test_a_little_and_no_more(self):
         report = make_report(1.0)
         report.velocity = np.array([1.0, -2.0, 0.0, 0.0, 0.0, 0.0])
-        for age, expected in ((0.005, 0.005), (1.0, 0.02), (-1.0, 0.0)):
+        for age, expected in (
+            *((0.005, 0.005), (1.0, 0.02)),
+            *((-0.03, -0.03), (-1.0, -0.1)),
+        ):
             np.testing.assert_allclose(
                 mut.carry_on(report, _HOST + 1.0 + age) - report.position,
                 expected * report.velocity,

@@ -144,6 +144,7 @@ class TestRingSubscriberSystem(unittest.TestCase):
         for clock_offset, expected in ((None, _HOST + 1.5), (-_HOST, 1.5)):
             diagram = make_cell(link, clock_offset=clock_offset)
             simulator = Simulator(diagram)
+            simulator.get_mutable_context().SetTime(1.5)
             simulator.Initialize()
             for ring, scan in enumerate(
                 get_scans(diagram, simulator.get_context())
@@ -156,6 +157,26 @@ class TestRingSubscriberSystem(unittest.TestCase):
                 np.testing.assert_array_equal(scan.distance, raw.distance)
                 np.testing.assert_array_equal(scan.status, raw.status)
                 self.assertFalse(scan.sensor_time.flags.writeable)
+
+    def test_a_scan_from_after_the_diagrams_time_waits(self):
+        """The robot is not known yet to have been where the sensors were."""
+        link = LoopbackRingLink(decoder=make_decoder())
+        diagram = make_cell(link, clock_offset=-_HOST)
+        simulator = Simulator(diagram)
+        context = simulator.get_context()
+        simulator.Initialize()
+        # Samples of 0.014 s; the scan is there before the Diagram is at 0 s.
+        put(link, 0, 0, 0.024)
+        for tick, sequence in ((0.008, -1), (0.016, 0)):
+            simulator.AdvanceTo(tick)
+            simulator.AdvancePendingEvents()
+            self.assertEqual(get_scans(diagram, context)[0].sequence, sequence)
+
+    def test_ahead(self):
+        scan = RingScan(sequence=0, sensor_time=np.array([1.0, 2.0, -np.inf]))
+        self.assertTrue(mut.is_ahead(scan, 1.9))
+        self.assertFalse(mut.is_ahead(scan, 2.0))
+        self.assertFalse(mut.is_ahead(RingScan(), 0.0))
 
     def test_waits_for_every_ring(self):
         link = LoopbackRingLink(decoder=make_decoder())
@@ -184,6 +205,8 @@ class TestRingSubscriberSystem(unittest.TestCase):
             mut.RingSubscriberSystem(connection=link, name=("a", "b"))
         with self.assertRaisesRegex(UserError, "wait_timeout"):
             mut.RingSubscriberSystem(connection=link, wait_timeout=-1.0)
+        with self.assertRaisesRegex(UserError, "max_ahead"):
+            mut.RingSubscriberSystem(connection=link, max_ahead=-1.0)
 
     def test_diagram_shows_the_source(self):
         diagram = make_cell(NullRingLink(decoder=make_decoder()))

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 
+import numpy as np
 from pydrake.common.value import Value
 from pydrake.systems.framework import (
     Context,
@@ -26,6 +27,16 @@ def shift_scan(scan: RingScan, offset: float) -> RingScan:
         distance=scan.distance,
         status=scan.status,
     )
+
+
+def is_ahead(scan: RingScan, now: float) -> bool:
+    """Tells whether a scan has samples from after a time, s.
+
+    Args:
+        scan: The scan.
+        now: Time on the clock of the scan.
+    """
+    return scan.sequence >= 0 and bool((scan.sensor_time > now).any())
 
 
 class RingInterfaceSystem(LeafSystem):
@@ -80,6 +91,11 @@ class RingSubscriberSystem(LeafSystem):
     host's monotonic one, s; unconnected it is 0. The scans' times are on the
     Diagram's clock.
 
+    Where it is connected, a scan waits in the link while the Diagram's time,
+    which is that of the robot's newest report, is before its samples: the
+    monitor does not know yet where the robot was then, and would take it for
+    somebody else. That happens when the loop is late.
+
     A port holds an empty scan (sequence -1) before the first one.
     """
 
@@ -88,6 +104,7 @@ class RingSubscriberSystem(LeafSystem):
         *,
         connection: RingConnection,
         wait_timeout: float = 10.0,
+        max_ahead: float = 0.004,
         name: Sequence[str] = RINGS,
     ):
         """Constructs the system.
@@ -96,6 +113,8 @@ class RingSubscriberSystem(LeafSystem):
             connection: Where scans come from.
             wait_timeout: Longest wait for the first scans at initialization,
                 s; 0 does not wait.
+            max_ahead: A sample may be so much ahead of the Diagram's time, s;
+                by so much the occlusion mask looks to both sides.
             name: The rings, in the order of the link's scans.
 
         Raises:
@@ -107,8 +126,13 @@ class RingSubscriberSystem(LeafSystem):
             0.0 <= wait_timeout <= 3600.0,
             f"wait_timeout: must be from 0 to 3600 s, got {wait_timeout!r}",
         )
+        require(
+            0.0 <= max_ahead <= 1.0,
+            f"max_ahead: must be from 0 to 1 s, got {max_ahead!r}",
+        )
         self._connection = connection
         self._wait_timeout = wait_timeout
+        self._max_ahead = max_ahead
         num_rings = len(self._connection.get_scans())
         if num_rings != len(name):
             raise ValueError(f"link of {num_rings} rings, not of {len(name)}")
@@ -150,12 +174,16 @@ class RingSubscriberSystem(LeafSystem):
         return self._take_scans(context, state)
 
     def _take_scans(self, context: Context, state: State):
+        now = np.inf
+        if self._clock_offset.HasValue(context):
+            offset = self._clock_offset.Eval(context)[0]
+            now = context.get_time() - offset + self._max_ahead
         status = EventStatus.DidNothing()
         for index, scan in zip(
             self._scans, self._connection.get_scans(), strict=True
         ):
             value = state.get_mutable_abstract_state(index)
-            if scan is not value.get_value():
+            if scan is not value.get_value() and not is_ahead(scan, now):
                 value.set_value(scan)
                 status = EventStatus.Succeeded()
         return status
