@@ -559,15 +559,13 @@ def _make_masked_scan(scan, is_held, samples, reading, motion, sensors):
             distance=distance,
             status=status,
         )
-    # In the order of the table's first rows.
-    nearest, farthest, previous_distance, previous_time = samples[:4, sensors]
     return MaskedScan.of_read_only(
         scan=scan,
         reading=reading[sensors],
-        self_nearest=nearest,
-        self_farthest=farthest,
-        previous_distance=previous_distance,
-        previous_time=previous_time,
+        self_nearest=samples[_NEAREST, sensors],
+        self_farthest=samples[_FARTHEST, sensors],
+        previous_distance=samples[_PREVIOUS_DISTANCE, sensors],
+        previous_time=samples[_PREVIOUS_TIME, sensors],
         position=motion[0, sensors],
         velocity=motion[1, sensors],
     )
