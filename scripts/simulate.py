@@ -135,8 +135,21 @@ def simulate(
     if recording:
         start_recording(display, live=meshcat)
     samples, progress = run(workcell, scenario, live=meshcat)
+    title = describe_run(
+        scenario_name,
+        {
+            "scenario-text": scenario_text or None,
+            "ssm": ssm,
+            "sensing": sensing,
+            "sensors-per-ring": sensors_per_ring,
+            "human-motion": human_motion,
+            "seed": seed,
+            "duration": duration,
+        },
+    )
     samples.metadata |= {
         "scenario_name": scenario_name,
+        "title": title,
         "command": shlex.join(["tofssm", *sys.argv[1:]]),
     }
     summary = summarize(scenario, samples, progress)
@@ -148,13 +161,28 @@ def simulate(
             display,
             out / "recording.html",
             samples=samples,
-            title=f"tofssm_drake: {scenario_name}",
+            title=f"tofssm_drake: {title}",
         )
     else:
         # One of an earlier run would be taken for this one's.
         (out / "recording.html").unlink(missing_ok=True)
     tell(summary, out)
     return 130 if summary["interrupted"] else 0
+
+
+def describe_run(scenario_name: str, options: dict) -> str:
+    """Returns a title: the scenario and what the command line changed.
+
+    Args:
+        scenario_name: Of the scenario before.
+        options: Values by name; None where nothing was changed.
+    """
+    changes = [
+        f"{name} {value.name if isinstance(value, Path) else value}"
+        for name, value in options.items()
+        if value is not None
+    ]
+    return ", ".join([scenario_name, *changes])
 
 
 def override(
@@ -321,13 +349,15 @@ def run(
             scenario=scenario,
             real_time_rate=1.0 if live else 0.0,
         )
+        # Kernels are loaded in the first step, or compiled for half a minute.
         task = bar.add_task(
-            "", total=scenario.program.products, time=0.0, factor=0.0
+            "preparing", total=scenario.program.products, time=0.0, factor=0.0
         )
         while True:
             progress = run.advance()
             bar.update(
                 task,
+                description="simulating",
                 completed=progress.products_placed,
                 time=progress.time,
                 factor=progress.real_time_factor,
@@ -387,7 +417,7 @@ def tell(summary: dict, out: Path) -> None:
 def make_progress_bar() -> ProgressBar:
     """Returns a bar of products with simulated time and real-time factor."""
     return ProgressBar(
-        TextColumn("simulating"),
+        TextColumn("{task.description}"),
         BarColumn(),
         TextColumn("{task.completed:.0f}/{task.total:.0f} products"),
         TextColumn("{task.fields[time]:6.1f} s simulated"),

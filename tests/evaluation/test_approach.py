@@ -109,7 +109,7 @@ class TestApproach(unittest.TestCase):
         self.assertAlmostEqual(approach.needed, 0.6 + 1.5 * 0.2)
         self.assertTrue(approach.rings[1].seen)
         self.assertIn("for a person at 1.50\u00a0m/s", self.text)
-        self.assertIn("(it needs at least 0.90 m here)", self.text)
+        self.assertIn("(it needs at least 0.900 m here)", self.text)
 
     def test_stop_before_it_was_due(self):
         run = _make_run(stop=3.4, elbow_due=3.6)

@@ -180,7 +180,9 @@ class TestOptions:
         check_readable(full_run / "out", files=FILES | {"recording.html"})
         page = (full_run / "out" / "recording.html").read_text("utf-8")
         assert page.rstrip().endswith("</html>")
-        assert "<title>tofssm_drake: IdealSensors</title>" in page
+        # What was changed is told, too.
+        assert "<title>tofssm_drake: IdealSensors, " in page
+        assert "sensors-per-ring 16, human-motion walk.bvh" in page
         data = page.partition("const run = ")[2].partition(";\n")[0]
         data = json.loads(data)
         assert data["end"] == pytest.approx(0.4)

@@ -310,8 +310,8 @@ def describe_cause(
     if not math.isnan(approach.person_speed):
         text += f" for a person at {speed}"
     if not math.isnan(approach.needed):
-        needed = math.ceil(100 * approach.needed - 1e-6) / 100
-        text += f" (it needs at least {needed:.2f} m here)"
+        needed = math.ceil(1000 * approach.needed - 1e-6) / 1000
+        text += f" (it needs at least {needed:.3f} m here)"
     return f"{text}."
 
 
@@ -498,8 +498,8 @@ def make_report(
 
     Args:
         samples: The run. Of `metadata` it reads what is there of
-            `scenario_name`, `scenario` (text), `ssm`, `human`, `products`,
-            `seed`, `sensors_per_ring`, `versions`, `command`, `plan`,
+            `scenario_name`, `title`, `scenario` (text), `ssm`, `human`,
+            `products`, `seed`, `sensors_per_ring`, `versions`, `command`, `plan`,
             `ring_geometry`, `robot_bodies`, `person_parts`, `interrupted`,
             `sensing`, `audit`.
         summary: What `calc_summary` returned, with whatever else the run's
@@ -519,7 +519,7 @@ def make_report(
         interrupted=bool(metadata.get("interrupted")),
         scenario=metadata.get("scenario", ""),
         versions=metadata.get("versions", {}),
-        name=metadata.get("scenario_name", "run"),
+        name=metadata.get("title", metadata.get("scenario_name", "run")),
         products=products,
         summary=summary,
         verdict=make_verdict(
