@@ -139,7 +139,7 @@ def simulate(
         scenario_name,
         {
             "scenario-text": scenario_text or None,
-            "ssm": ssm,
+            "ssm": ssm and ssm.lower(),
             "sensing": sensing,
             "sensors-per-ring": sensors_per_ring,
             "human-motion": human_motion,
