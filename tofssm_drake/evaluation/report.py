@@ -499,9 +499,9 @@ def make_report(
     Args:
         samples: The run. Of `metadata` it reads what is there of
             `scenario_name`, `title`, `scenario` (text), `ssm`, `human`,
-            `products`, `seed`, `sensors_per_ring`, `versions`, `command`, `plan`,
-            `ring_geometry`, `robot_bodies`, `person_parts`, `interrupted`,
-            `sensing`, `audit`.
+            `products`, `seed`, `sensors_per_ring`, `versions`, `command`,
+            `plan`, `ring_geometry`, `robot_bodies`, `person_parts`,
+            `interrupted`, `sensing`, `audit`.
         summary: What `calc_summary` returned, with whatever else the run's
             `summary.json` holds (`real_time_factor`).
         recording: Where the replay is, relative to the report; instants are
