@@ -1,8 +1,9 @@
 # Two commands on a fresh machine with python3 >= 3.11, make and git:
 #   make run     runs the default scenario and says where the report is
 #   make test    checks format and lint, then runs the tests
-# and one more:
+# and two more:
 #   make bench   measures speed
+#   make hardware-demo   runs the hardware's program on a simulated robot
 
 PYTHON ?= python3
 VENV := .venv
@@ -16,10 +17,13 @@ CHECK_DRAKE := @$(BIN)/python -c 'import pydrake.common' 2> /dev/null || \
 	scripts/install_system_packages.sh \
 	  "Drake lacks libraries" libglib2.0-0 libsm6 libx11-6
 
-.PHONY: run test bench format clean
+.PHONY: run hardware-demo test bench format clean
 
 run: $(VENV)/.installed
 	$(BIN)/tofssm simulate --out $(OUT)
+
+hardware-demo: $(VENV)/.installed
+	$(BIN)/tofssm hardware-demo --out out/hardware
 
 test: $(VENV)/.installed-test
 	$(BIN)/ruff format --check .

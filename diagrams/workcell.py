@@ -43,19 +43,24 @@ class Workcell:
 
 
 def make_workcell(
-    scenario: Scenario, *, meshcat: Meshcat | None = None
+    scenario: Scenario,
+    *,
+    station: Station | None = None,
+    meshcat: Meshcat | None = None,
 ) -> Workcell:
     """Makes the closed loop of a scenario.
 
     Args:
         scenario: Checked settings.
+        station: Of the same scenario; None makes a simulated one.
         meshcat: Where to show the cell; None shows nothing.
 
     Returns:
         The Diagram, ready for a Simulator, and its parts.
     """
     builder = DiagramBuilder()
-    station = make_station(scenario)
+    if station is None:
+        station = make_station(scenario)
     builder.AddSystem(station.diagram)
     avatar = station.avatar
     monitor = builder.AddSystem(

@@ -15,6 +15,9 @@ def make_app() -> typer.Typer:
     has to work as well.
     """
     from tofssm_drake.scripts.experiments import experiments
+    from tofssm_drake.scripts.hardware import hardware
+    from tofssm_drake.scripts.hardware_demo import hardware_demo
+    from tofssm_drake.scripts.replay import replay
     from tofssm_drake.scripts.simulate import simulate
     from tofssm_drake.scripts.simulated_rings import simulated_rings
     from tofssm_drake.scripts.simulated_ur import simulated_ur
@@ -29,6 +32,9 @@ def make_app() -> typer.Typer:
     )
     app.command()(simulate)
     app.command()(experiments)
+    app.command()(hardware)
+    app.command("hardware-demo")(hardware_demo)
+    app.command()(replay)
     app.command("simulated-rings")(simulated_rings)
     app.command("simulated-ur")(simulated_ur)
     return app

@@ -121,7 +121,7 @@ class TestImports(unittest.TestCase):
         known = {
             *("pydrake", "jinja2", "matplotlib", "numba", "numpy"),
             *("pyarrow", "rich", "ruckig", "serial", "typer", "yaml"),
-            *("dask", "distributed", "tofssm_drake"),
+            *("dask", "distributed", "mcap", "tofssm_drake"),
         }
         extras = {
             "tofssm_drake.robot.meshes": {

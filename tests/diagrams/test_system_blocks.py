@@ -11,6 +11,7 @@ from pydrake.systems.framework import Diagram, LeafSystem
 import yaml
 
 import tofssm_drake
+from tofssm_drake.diagrams.hardware_station import make_hardware_station
 from tofssm_drake.diagrams.monitor import make_monitor
 from tofssm_drake.diagrams.ring_world import make_ring_world
 from tofssm_drake.diagrams.scenario import load_scenario
@@ -18,6 +19,7 @@ from tofssm_drake.diagrams.station import make_station
 from tofssm_drake.diagrams.workcell import make_workcell
 from tofssm_drake.evaluation.ground_truth import GroundTruth, TruthModel
 from tofssm_drake.geometry.ray_caster import RayCaster
+from tofssm_drake.hardware.held_connections import HeldRobot
 from tofssm_drake.hardware.ring_link import NullRingLink
 from tofssm_drake.hardware.ring_receiver import RingDecoder, RingLinkConfig
 from tofssm_drake.hardware.ring_systems import (
@@ -177,6 +179,10 @@ class TestSystemBlocks(unittest.TestCase):
         controller = robot.GetSubsystemByName("inverse_dynamics_controller")
         for make, diagram in (
             (make_station, self.workcell.station.diagram),
+            (
+                make_hardware_station,
+                make_hardware_station(self.scenario, robot=HeldRobot()).diagram,
+            ),
             (make_monitor, make_monitor(self.scenario)),
             (make_ring_world, make_ring_world(self.scenario)),
             (sim_ur10.make_sim_ur10, robot),

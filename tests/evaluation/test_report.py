@@ -116,6 +116,14 @@ class TestReport(unittest.TestCase):
         self.assertIn("Nothing stopped or slowed the robot.", text)
         self.assertIn("0 of 10 products were placed", text)
 
+    def test_real_sensors_tell_nothing_of_contacts(self):
+        run = make_run(2.0, geometry=False)
+        summary = calc_summary(run, products=10) | {"person_is_known": False}
+        self.assertIsNone(summary["min_true_distance_m"])
+        text = str(mut.make_verdict(summary, products=10))
+        self.assertNotIn("Nobody", text)
+        self.assertIn("is not known", text)
+
     def test_no_rows(self):
         """Interrupted before the first tick."""
         run = make_run(0.0)

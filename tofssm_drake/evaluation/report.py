@@ -104,6 +104,14 @@ def make_verdict(
                 f"{summary['contact_while_moving_max_mps']:.2f} m/s.",
             )
         )
+    elif not summary.get("person_is_known", True):
+        verdict.append(
+            (
+                "note",
+                "A run on real sensors: where people truly were is not known, "
+                "so nothing is told of contacts and true distances.",
+            )
+        )
     elif least is None:
         verdict.append(("note", "Nobody was in the cell."))
     elif least <= 0.0:
@@ -192,7 +200,11 @@ def _make_headlines(summary, products):
             ),
         ),
         Headline(
-            value=str(summary["contact_while_moving_events"]),
+            value=(
+                str(summary["contact_while_moving_events"])
+                if summary.get("person_is_known", True)
+                else "unknown"
+            ),
             label="contacts while moving",
             note="touching faster than 0.01 m/s",
         ),

@@ -1,0 +1,220 @@
+"""Runs the monitor on a real robot's reports, one tick for each of them."""
+
+import dataclasses as dc
+
+import numpy as np
+from pydrake.common.value import Value
+from pydrake.geometry import Meshcat
+from pydrake.systems.analysis import Simulator
+from pydrake.systems.framework import Context
+
+from tofssm_drake.diagrams.hardware_station import make_hardware_station
+from tofssm_drake.diagrams.scenario import Scenario
+from tofssm_drake.diagrams.workcell import Workcell, make_workcell
+from tofssm_drake.hardware.held_connections import HeldRings, HeldRobot
+from tofssm_drake.hardware.slider import (
+    SliderConfig,
+    SliderState,
+)
+from tofssm_drake.messages import (
+    RINGS,
+    RingScan,
+    RobotReport,
+    Separation,
+)
+from tofssm_drake.robot.kinematics import RingKinematics
+from tofssm_drake.robot.program import make_program_path
+
+# The world of virtual rings, or made-up scans, for so many periods of them.
+_WARM_UP = 3
+
+
+@dc.dataclass(frozen=True, eq=False, kw_only=True)
+class TickInput:
+    """All that a tick follows from."""
+
+    time: float
+    """Diagram's time, s; does not fall."""
+    report: RobotReport
+    scans: tuple[RingScan, ...] = ()
+    """Newest scan of each ring on the host's clock; of virtual ones none."""
+    clock_offset: float = 0.0
+    """What the Diagram's clock shows more than the host's, s."""
+
+
+@dc.dataclass(frozen=True, eq=False, kw_only=True)
+class TickResult:
+    """What a tick gave."""
+
+    time: float
+    """Diagram's time, s."""
+    robot_state: int
+    """Number of the state."""
+    ring_states: tuple[int, ...]
+    reason: str
+    speed_fraction: float
+    slider: SliderState
+    separation: Separation
+    products_placed: int
+    task_done: bool
+
+
+class HardwareLoop:
+    """The monitor in a loop with a station that is handed its data.
+
+    Args:
+        scenario: Checked settings; rings on the arm.
+        virtual_rings: Simulate the rings in the twin.
+        send: Takes the commands; None drops them.
+        slider: Settings of the slider.
+        gripper_output: Number of the digital output that closes the gripper.
+        meshcat: Where to show the twin; None shows nothing.
+    """
+
+    def __init__(
+        self,
+        *,
+        scenario: Scenario,
+        virtual_rings: bool,
+        send=None,
+        slider: SliderConfig | None = None,
+        gripper_output: int = 0,
+        meshcat: Meshcat | None = None,
+    ):
+        self._scenario = scenario
+        self._sending = False
+        self._send = send
+        self._initialized = False
+        self._station = make_hardware_station(
+            scenario,
+            robot=HeldRobot(self._send_if_live),
+            rings=None if virtual_rings else HeldRings(),
+            slider=slider,
+            gripper_output=gripper_output,
+        )
+        self._workcell = make_workcell(
+            scenario, station=self._station, meshcat=meshcat
+        )
+        self._monitor = self._workcell.diagram.GetSubsystemByName("monitor")
+        station = self._station.diagram
+        self._publisher = station.GetSubsystemByName("robot_publisher")
+        self._slider = station.GetSubsystemByName("slider_control")
+        self._clock_offset = (
+            None
+            if virtual_rings
+            else station.GetSubsystemByName("ring_subscriber").GetInputPort(
+                "clock_offset"
+            )
+        )
+        self._warm_up()
+        self._start(self._workcell.make_context(scenario.random_seed))
+        self._sending = True
+
+    @property
+    def workcell(self) -> Workcell:
+        """Station, monitor and record."""
+        return self._workcell
+
+    @property
+    def context(self) -> Context:
+        """The workcell's Context after the last tick."""
+        return self._simulator.get_context()
+
+    def tick(self, given: TickInput) -> TickResult:
+        """Takes a report, computes, and sends the command.
+
+        Args:
+            given: What is new.
+
+        Returns:
+            What the monitor says of it and what was sent.
+        """
+        self._station.robot.report = given.report
+        if self._clock_offset is not None:
+            self._station.rings.scans = given.scans
+            self._clock_offset.FixValue(
+                self._ring_context, [given.clock_offset]
+            )
+        if not self._initialized:
+            # With the first report, or the record would begin without one.
+            self._simulator.Initialize()
+            self._initialized = True
+        self._simulator.AdvanceTo(given.time)
+        # The tick's own events: without it they would wait for the next one.
+        self._simulator.AdvancePendingEvents()
+        self._slider.GetInputPort("report").FixValue(
+            self._slider_context, Value(given.report)
+        )
+        self._publisher.ForcedPublish(self._publisher_context)
+        return self._read(given)
+
+    def _read(self, given):
+        def ask(name):
+            return self._monitor.GetOutputPort(name).Eval(self._monitor_context)
+
+        report = given.report
+        return TickResult(
+            time=given.time,
+            robot_state=int(ask("robot_state")[0]),
+            ring_states=tuple(int(s) for s in ask("ring_states")),
+            reason=ask("reason"),
+            speed_fraction=float(ask("speed_fraction")[0]),
+            slider=self._slider.GetOutputPort("slider").Eval(
+                self._slider_context
+            ),
+            separation=ask("separation"),
+            products_placed=max(report.products_placed, 0),
+            task_done=report.products_placed >= self._scenario.program.products,
+        )
+
+    def _start(self, context):
+        self._simulator = Simulator(self._workcell.diagram, context)
+        root = self._simulator.get_mutable_context()
+        station = self._station.diagram
+        self._monitor_context = self._monitor.GetMyContextFromRoot(root)
+        self._publisher_context = self._publisher.GetMyContextFromRoot(root)
+        self._slider_context = self._slider.GetMyMutableContextFromRoot(root)
+        self._slider.GetInputPort("report").FixValue(
+            self._slider_context, Value(RobotReport())
+        )
+        if self._clock_offset is not None:
+            self._ring_context = station.GetSubsystemByName(
+                "ring_subscriber"
+            ).GetMyMutableContextFromRoot(root)
+            self._clock_offset.FixValue(self._ring_context, [0.0])
+        self._initialized = False
+
+    def _send_if_live(self, command):
+        return self._sending and self._send is not None and self._send(command)
+
+    def _warm_up(self):
+        """Runs a few ticks in vain: the first call of a kernel is slow."""
+        scenario = self._scenario
+        n = scenario.sensors_per_ring
+        path = make_program_path(
+            scenario.program, RingKinematics.from_plant(self._station.plant)
+        )
+        q = path.calc_motion(0.0)[0]
+        self._station.robot.report = RobotReport(
+            sequence=0, position=q, velocity=np.zeros(6)
+        )
+        self._start(self._workcell.make_context(0))
+        period = scenario.rings.period
+        for i in range(_WARM_UP):
+            scan = RingScan(
+                sequence=i,
+                time=i * period,
+                sensor_time=np.full(n, i * period),
+                distance=np.full(n, 1.0),
+                status=np.zeros(n, dtype=np.uint8),
+            )
+            self.tick(
+                TickInput(
+                    time=(i + 1) * period,
+                    report=self._station.robot.report,
+                    scans=(scan,) * len(RINGS),
+                )
+            )
+        self._station.robot.report = RobotReport()
+        if self._station.rings is not None:
+            self._station.rings.scans = HeldRings().scans

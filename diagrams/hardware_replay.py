@@ -1,0 +1,69 @@
+"""The same monitor on what a run was given."""
+
+import dataclasses as dc
+
+import yaml
+
+from tofssm_drake.diagrams.hardware_loop import HardwareLoop, TickInput
+from tofssm_drake.diagrams.hardware_run import describe_state
+from tofssm_drake.diagrams.scenario import Scenario, change_scenario
+from tofssm_drake.hardware.run_record import RunReader
+from tofssm_drake.hardware.slider import SliderConfig
+
+
+@dc.dataclass(frozen=True, kw_only=True)
+class ReplayResult:
+    """What came of a replay."""
+
+    ticks: int
+    """How many were replayed."""
+    end_time: float
+    """Diagram's time of the last one, s."""
+    differences: int
+    """Ticks in which the monitor said or sent something else."""
+    first: str
+    """What was the first difference; empty: there is none."""
+
+
+def replay_record(reader: RunReader) -> ReplayResult:
+    """Runs the monitor on a record and compares tick by tick.
+
+    Args:
+        reader: Of the record.
+
+    Raises:
+        UserError: The record's scenario can not be used here.
+    """
+    run = reader.run
+    loop = HardwareLoop(
+        scenario=change_scenario(
+            Scenario(), yaml.safe_dump(run["scenario"]), source="the record"
+        ),
+        virtual_rings=run["virtual_rings"],
+        slider=SliderConfig(minimum_fraction=run["minimum_fraction"]),
+    )
+    ticks = differences = 0
+    first, end_time = "", 0.0
+    for tick in reader.read_ticks():
+        result = loop.tick(
+            TickInput(
+                time=tick.time,
+                report=tick.report,
+                scans=tick.scans,
+                clock_offset=tick.clock_offset,
+            )
+        )
+        ticks += 1
+        end_time = tick.time
+        now = describe_state(result) | vars(result.slider.command)
+        then = tick.state | vars(tick.command)
+        changed = [name for name in then if now[name] != then[name]]
+        if changed:
+            differences += 1
+            first = first or (
+                f"first at {tick.time:.3f} s: "
+                + ", ".join(f"{n} {now[n]}, was {then[n]}" for n in changed)
+            )
+    return ReplayResult(
+        ticks=ticks, end_time=end_time, differences=differences, first=first
+    )

@@ -1,0 +1,245 @@
+"""A run on a real robot: waiting for it, one tick a report, and the end.
+
+    wait for a report -> tick -> command        as often as the robot reports
+
+Whatever ends it, the connection is closed, which puts the slider to 0.
+"""
+
+from collections.abc import Callable
+import time
+
+import numpy as np
+
+from tofssm_drake.diagrams.hardware_loop import (
+    HardwareLoop,
+    TickInput,
+    TickResult,
+)
+from tofssm_drake.diagrams.scenario import Scenario
+from tofssm_drake.errors import UserError, require
+from tofssm_drake.hardware.ring_link import RingConnection, explain_silence
+from tofssm_drake.hardware.robot_clock import RobotClock
+from tofssm_drake.hardware.robot_connection import RobotConnection
+from tofssm_drake.hardware.rtde_fields import SafetyMode, name_of
+from tofssm_drake.hardware.run_record import RecordedTick, RunRecorder
+from tofssm_drake.messages import RobotReport
+from tofssm_drake.robot.kinematics import RingKinematics
+from tofssm_drake.robot.program import make_program_path
+
+# One wait for a report, s; then the signals are looked at.
+_WAIT = 0.05
+# A robot that is silent that long ends the run, s.
+_LONGEST_SILENCE = 10.0
+# Reports that come so much later than the fastest ones end the run, s.
+_LATEST = 0.25
+_PATH_STEP = 0.05
+# Between two lines about what is waited for, s.
+_QUIET = 2.0
+
+
+def require_ready(
+    report: RobotReport, scenario: Scenario, plant, *, max_deviation: float
+) -> None:
+    """Raises UserError unless the robot may be watched as it is.
+
+    Args:
+        report: The robot's newest.
+        scenario: Checked settings.
+        plant: The cell's, with the arm's limits.
+        max_deviation: How far any joint may be from where the program ever
+            is, rad; inf: anywhere within the limits.
+    """
+    for mode in (report.safety_mode, report.safety_status):
+        # Older software has no safety status: -1.
+        require(
+            mode in (SafetyMode.NORMAL, SafetyMode.REDUCED)
+            or (mode == -1 and report.safety_mode != -1),
+            f"robot: safety mode is {name_of(SafetyMode, mode)}, must be "
+            "normal or reduced",
+        )
+    q = report.position
+    low = plant.GetPositionLowerLimits()[:6]
+    high = plant.GetPositionUpperLimits()[:6]
+    outside = np.flatnonzero(~((q >= low) & (q <= high)))
+    if outside.size:
+        j = outside[0]
+        raise UserError(
+            f"robot: joint {j + 1} is at {q[j]:.3f} rad, the model's limits "
+            f"are {low[j]:.3f} and {high[j]:.3f}"
+        )
+    path = make_program_path(scenario.program, RingKinematics.from_plant(plant))
+    positions = np.array(
+        [
+            path.calc_motion(t)[0]
+            for t in np.arange(0.0, path.duration, _PATH_STEP)
+        ]
+    )
+    deviations = np.abs(positions - q)
+    nearest = deviations[deviations.max(axis=1).argmin()]
+    j = nearest.argmax()
+    require(
+        nearest[j] <= max_deviation,
+        f"robot: joint {j + 1} is at {q[j]:.3f} rad, {nearest[j]:.2f} from "
+        f"where the scenario's program ever is, more than {max_deviation:g}",
+    )
+
+
+class HardwareRun:
+    """Robot, rings and monitor, one tick for each of the robot's reports.
+
+    Args:
+        loop: The monitor in its loop.
+        robot: Where reports come from.
+        rings: Where scans come from; None: they are virtual.
+        period: Control tick, s.
+        record: What everything is written to; None: nothing is.
+    """
+
+    def __init__(
+        self,
+        *,
+        loop: HardwareLoop,
+        robot: RobotConnection,
+        rings: RingConnection | None,
+        period: float,
+        record: RunRecorder | None = None,
+    ):
+        self._loop = loop
+        self._robot = robot
+        self._rings = rings
+        self._record = record
+        self._clock = RobotClock(period=period)
+        self._sequence = -1
+        self._heard = time.monotonic()
+        self.ticks = 0
+        """Reports answered."""
+
+    def wait(
+        self,
+        *,
+        timeout: float,
+        tell: Callable[[str], None],
+        is_stopped: Callable[[], bool],
+    ) -> RobotReport | None:
+        """Waits until robot and rings are there.
+
+        Args:
+            timeout: Longest wait for each, s.
+            tell: Called with what is waited for, whenever that changes.
+            is_stopped: Whether to give up.
+
+        Returns:
+            The robot's newest report; None: it was given up.
+
+        Raises:
+            UserError: The time is over.
+        """
+
+        def has_reported():
+            return (
+                self._robot.wait_for_report(after=-1, timeout=_WAIT).sequence
+                >= 0
+            )
+
+        def find_problem():
+            problem = self._robot.get_status().problem
+            return f"no report from the robot: {problem or 'it is silent'}"
+
+        if not _wait(has_reported, find_problem, timeout, tell, is_stopped):
+            return None
+        if self._rings is not None and not _wait(
+            lambda: self._rings.wait_for_scans(_WAIT),
+            lambda: explain_silence(self._rings.get_status()),
+            timeout,
+            tell,
+            is_stopped,
+        ):
+            return None
+        self._heard = time.monotonic()
+        return self._robot.get_report()
+
+    def step(self) -> TickResult | None:
+        """Waits for the next report and answers it.
+
+        Returns:
+            What the monitor says; None: there is no new report yet.
+
+        Raises:
+            UserError: The robot is silent for too long, or far too late.
+        """
+        report = self._robot.wait_for_report(
+            after=self._sequence, timeout=_WAIT
+        )
+        if report.sequence <= self._sequence:
+            silence = time.monotonic() - self._heard
+            problem = self._robot.get_status().problem
+            require(
+                silence <= _LONGEST_SILENCE,
+                f"robot: no report for {silence:.0f} s: "
+                f"{problem or 'it is silent'}",
+            )
+            return None
+        self._sequence = report.sequence
+        self._heard = report.time
+        tick_time = self._clock.update(report)
+        require(
+            self._clock.lateness <= _LATEST,
+            f"robot: reports come {1e3 * self._clock.lateness:.0f} ms late",
+        )
+        given = TickInput(
+            time=tick_time,
+            report=report,
+            scans=() if self._rings is None else self._rings.get_scans(),
+            clock_offset=self._clock.offset,
+        )
+        result = self._loop.tick(given)
+        self.ticks += 1
+        if self._record is not None:
+            self._record.add_tick(make_recorded_tick(given, result))
+        return result
+
+
+def make_recorded_tick(given: TickInput, result: TickResult) -> RecordedTick:
+    """Returns what is recorded of a tick."""
+    return RecordedTick(
+        time=given.time,
+        clock_offset=given.clock_offset,
+        report=given.report,
+        scans=given.scans,
+        command=result.slider.command,
+        state=describe_state(result),
+    )
+
+
+def describe_state(result: TickResult) -> dict:
+    """Returns what the monitor said in a tick as plain values."""
+    return {
+        "robot_state": result.robot_state,
+        "ring_states": list(result.ring_states),
+        "reason": result.reason,
+        "speed_fraction": result.speed_fraction,
+        "slider_phase": int(result.slider.phase),
+        "slider_reason": result.slider.reason,
+        "distance": [
+            d if np.isfinite(d) else None
+            for d in result.separation.distance.tolist()
+        ],
+    }
+
+
+def _wait(is_there, find_problem, timeout, tell, is_stopped):
+    """Returns True when something is there, False if it was given up."""
+    deadline = time.monotonic() + timeout
+    told = ""
+    quiet = time.monotonic() + _QUIET
+    while not is_there():
+        if is_stopped():
+            return False
+        problem = find_problem()
+        if time.monotonic() > deadline:
+            raise UserError(f"{problem} (waited {timeout:g} s)")
+        if problem != told and time.monotonic() > quiet:
+            tell(f"waiting: {problem}")
+            told = problem
+            quiet = time.monotonic() + _QUIET
+    return True

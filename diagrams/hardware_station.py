@@ -1,0 +1,176 @@
+"""The real robot's side of the cell, with the ports of the simulated one."""
+
+import dataclasses as dc
+
+from pydrake.systems.framework import DiagramBuilder
+
+from tofssm_drake.diagrams.ring_world import add_ring_world, make_scene
+from tofssm_drake.diagrams.scenario import NoHuman, Scenario
+from tofssm_drake.diagrams.station import Station
+from tofssm_drake.hardware.held_connections import HeldRings, HeldRobot
+from tofssm_drake.hardware.ring_systems import (
+    RingInterfaceSystem,
+    RingSubscriberSystem,
+)
+from tofssm_drake.hardware.rtde_systems import (
+    RobotReportReceiver,
+    RtdeInterfaceSystem,
+    RtdePublisherSystem,
+    RtdeSubscriberSystem,
+    SliderControl,
+)
+from tofssm_drake.hardware.slider import SliderConfig
+from tofssm_drake.messages import RINGS
+from tofssm_drake.robot.kinematics import RingKinematics
+from tofssm_drake.robot.program import make_program_path
+
+
+@dc.dataclass(frozen=True, eq=False, kw_only=True)
+class HardwareStation(Station):
+    """A station whose robot is real, and what its loop has to touch."""
+
+    robot: HeldRobot
+    """Shows the report that the monitor sees."""
+    rings: HeldRings | None
+    """Shows the scans; None: the rings are virtual."""
+
+
+def make_hardware_station(
+    scenario: Scenario,
+    *,
+    robot: HeldRobot,
+    rings: HeldRings | None = None,
+    slider: SliderConfig | None = None,
+    gripper_output: int = 0,
+) -> HardwareStation:
+    """Makes the real cell: robot and rings as they report, a twin to look at.
+
+    .. pydrake_system::
+
+        name: station
+        input_ports:
+        - speed_fraction
+        output_ports:
+        - scan_base
+        - scan_elbow
+        - scan_tool
+        - position_measured
+        - velocity_measured
+        - gripper_closed
+        - products_placed
+        - task_done
+        - geometry_query
+        - skeleton
+
+    The ports are those of `make_station`, and so is their order. Of a real
+    person nothing is known: the scene has none, and `skeleton` is empty.
+
+    The input `report` of the slider's control is open: the loop fixes it to
+    the report that the monitor has seen, once the monitor's tick is over. So
+    a command answers a report with what was computed of that same report.
+
+    Args:
+        scenario: Checked settings; rings on the arm.
+        robot: Where reports come from and commands go.
+        rings: Where scans come from; None simulates them in the twin, around
+            the real robot and with the scenario's person.
+        slider: Settings of the slider.
+        gripper_output: Number of the digital output that closes the gripper.
+
+    Returns:
+        The station.
+    """
+    builder = DiagramBuilder()
+    seen = scenario
+    if rings is not None:
+        # Nothing is simulated that the twin could see.
+        seen = dc.replace(scenario, sensing="ideal", human=NoHuman())
+    scene_graph, plant = make_scene(builder, seen)
+    receiver, commanded = _add_robot(
+        builder,
+        robot,
+        RobotReportReceiver(
+            gripper_output=gripper_output, products=scenario.program.products
+        ),
+    )
+    if rings is not None:
+        _add_rings(builder, rings)
+    world = add_ring_world(
+        builder,
+        scenario=seen,
+        scene_graph=scene_graph,
+        plant=plant,
+        position_measured=receiver.GetOutputPort("position_measured"),
+        gripper_closed=receiver.GetOutputPort("gripper_closed"),
+        products_placed=receiver.GetOutputPort("products_placed"),
+    )
+    _add_slider(builder, commanded, slider)
+    for name in (
+        "position_measured",
+        "velocity_measured",
+        "gripper_closed",
+        "products_placed",
+        "task_done",
+    ):
+        builder.ExportOutput(receiver.GetOutputPort(name), name)
+    builder.ExportOutput(scene_graph.get_query_output_port(), "geometry_query")
+    builder.ExportOutput(world.skeleton, "skeleton")
+    diagram = builder.Build()
+    diagram.set_name("station")
+    path = make_program_path(scenario.program, RingKinematics.from_plant(plant))
+    return HardwareStation(
+        diagram=diagram,
+        plant=plant,
+        scene_graph=scene_graph,
+        avatar=world.avatar,
+        nominal_duration=path.duration,
+        robot=robot,
+        rings=rings,
+    )
+
+
+def _add_robot(builder, robot, receiver):
+    """Adds what reads the robot; returns the receiver and who is written to."""
+    interface = builder.AddNamedSystem(
+        "robot_interface", RtdeInterfaceSystem(connection=robot)
+    )
+    subscriber = builder.AddNamedSystem(
+        "robot_subscriber",
+        RtdeSubscriberSystem(connection=interface.connection, wait_timeout=0.0),
+    )
+    builder.AddNamedSystem("robot_report_receiver", receiver)
+    builder.Connect(
+        subscriber.GetOutputPort("report"), receiver.GetInputPort("report")
+    )
+    return receiver, interface.connection
+
+
+def _add_rings(builder, rings):
+    """Adds what reads the rings and exports the scans."""
+    interface = builder.AddNamedSystem(
+        "ring_interface", RingInterfaceSystem(connection=rings)
+    )
+    subscriber = builder.AddNamedSystem(
+        "ring_subscriber",
+        RingSubscriberSystem(connection=interface.connection, wait_timeout=0.0),
+    )
+    for name in RINGS:
+        builder.ExportOutput(
+            subscriber.GetOutputPort(f"scan_{name}"), f"scan_{name}"
+        )
+
+
+def _add_slider(builder, robot, config):
+    """Adds what moves the slider."""
+    control = builder.AddNamedSystem(
+        "slider_control", SliderControl(config=config)
+    )
+    publisher = builder.AddNamedSystem(
+        "robot_publisher", RtdePublisherSystem(connection=robot)
+    )
+    builder.Connect(
+        control.GetOutputPort("command"), publisher.GetInputPort("command")
+    )
+    builder.ExportInput(
+        control.GetInputPort("speed_fraction"), "speed_fraction"
+    )

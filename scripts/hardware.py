@@ -1,0 +1,402 @@
+"""`tofssm hardware`: runs the monitor on a real robot."""
+
+import contextlib
+import dataclasses as dc
+import math
+from pathlib import Path
+import shlex
+import sys
+import time
+from typing import Annotated
+
+from rich.console import Console
+from rich.live import Live
+from rich.text import Text
+import typer
+
+from tofssm_drake.diagrams.hardware_loop import HardwareLoop, TickResult
+from tofssm_drake.diagrams.hardware_run import HardwareRun, require_ready
+from tofssm_drake.diagrams.scenario import (
+    NoHuman,
+    dump_scenario,
+    load_scenario,
+)
+from tofssm_drake.diagrams.simulation import Progress
+from tofssm_drake.errors import UserError, require
+from tofssm_drake.hardware.ring_address import parse_ring_address
+from tofssm_drake.hardware.ring_link import RingLink
+from tofssm_drake.hardware.ring_receiver import RingDecoder, RingLinkConfig
+from tofssm_drake.hardware.rtde_client import RtdeClient, RtdeConfig
+from tofssm_drake.hardware.run_record import RunRecorder
+from tofssm_drake.hardware.slider import SliderConfig
+from tofssm_drake.messages import RINGS, RobotState
+from tofssm_drake.scripts.simulate import (
+    catch_stop,
+    make_display,
+    make_folder,
+    override,
+    summarize,
+    write_results,
+)
+
+_VIRTUAL = "virtual"
+# Between two status lines, s.
+_STATUS_PERIOD = 0.2
+
+_console = Console(stderr=True, highlight=False)
+
+
+def hardware(
+    robot_host: Annotated[
+        str, typer.Option(help="Address of the robot, real or simulated.")
+    ],
+    rings: Annotated[
+        list[str],
+        typer.Option(
+            help="Where the rings' frames come from; may be given again. "
+            "virtual simulates them around the real robot.",
+            metavar="udp://ADDRESS:PORT|serial:///dev/NAME|virtual",
+        ),
+    ],
+    robot_port: Annotated[
+        int, typer.Option(help="The robot's RTDE port.")
+    ] = 30004,
+    allow_remote: Annotated[
+        bool,
+        typer.Option(help="Let --rings listen on every interface (0.0.0.0)."),
+    ] = False,
+    scenario_file: Annotated[
+        Path | None,
+        typer.Option(help="YAML file of scenarios; default: those shipped."),
+    ] = None,
+    scenario_name: Annotated[
+        str, typer.Option(help="Which scenario of the file.")
+    ] = "Default",
+    scenario_text: Annotated[
+        str,
+        typer.Option(help="Settings to change, as YAML, e.g. '{a: {b: 1}}'."),
+    ] = "",
+    ssm: Annotated[
+        str | None,
+        typer.Option(help="Safety law: vo, vr or sm.", metavar="vo|vr|sm"),
+    ] = None,
+    sensors_per_ring: Annotated[
+        int | None, typer.Option(help="8 or 16.")
+    ] = None,
+    human_motion: Annotated[
+        Path | None,
+        typer.Option(
+            help="A BVH recording whose gait the person of virtual rings "
+            "walks with.",
+            metavar="FILE.bvh",
+        ),
+    ] = None,
+    seed: Annotated[
+        int | None, typer.Option(help="Seed of virtual sensors' errors.")
+    ] = None,
+    dry_run: Annotated[
+        bool,
+        typer.Option("--dry-run", help="Write nothing to the robot."),
+    ] = False,
+    any_pose: Annotated[
+        bool,
+        typer.Option(
+            "--any-pose",
+            help="Start anywhere within the joints' limits, not only near "
+            "the scenario's program.",
+        ),
+    ] = False,
+    minimum_fraction: Annotated[
+        float,
+        typer.Option(help="Where a stop leaves the slider, 0 to 0.1."),
+    ] = 0.0,
+    wait: Annotated[
+        float, typer.Option(help="Longest wait for robot and for rings, s.")
+    ] = 30.0,
+    duration: Annotated[
+        float,
+        typer.Option(help="For how long, s; 0: until all is placed."),
+    ] = 0.0,
+    meshcat: Annotated[
+        bool, typer.Option("--meshcat", help="Watch the twin in a browser.")
+    ] = False,
+    record: Annotated[
+        Path | None,
+        typer.Option(help="Record everything.", metavar="FILE.mcap"),
+    ] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(help="Folder for a report at the end.", metavar="DIR"),
+    ] = None,
+) -> int:
+    """Slow a real robot down when somebody is near.
+
+    Not a safety function: see docs/robot_link.md. Whatever ends the run puts
+    the robot's speed slider to 0.
+    """
+    require(
+        0.0 < wait <= 3600.0,
+        f"--wait: must be above 0 and at most 3600 s, got {wait:g}",
+    )
+    require(duration >= 0.0, f"--duration: must be 0 or more, got {duration:g}")
+    is_virtual = rings == [_VIRTUAL]
+    require(
+        is_virtual or _VIRTUAL not in rings,
+        f"--rings: {_VIRTUAL} stands alone, got {', '.join(rings)}",
+    )
+    addresses = (
+        []
+        if is_virtual
+        else [parse_ring_address(r, allow_remote=allow_remote) for r in rings]
+    )
+    scenario = load_scenario(
+        filename=scenario_file, name=scenario_name, text=scenario_text
+    )
+    override(
+        scenario,
+        ssm=ssm,
+        sensors_per_ring=sensors_per_ring,
+        human_motion=human_motion,
+        seed=seed,
+    )
+    require(
+        scenario.sensing == "tof",
+        f"sensing: {scenario.sensing!r} is for simulations, must be 'tof'",
+    )
+    if not is_virtual:
+        scenario.human = NoHuman()
+    slider = SliderConfig(minimum_fraction=minimum_fraction)
+    slider.check("slider")
+    robot_config = RtdeConfig(
+        host=robot_host, port=robot_port, write=not dry_run
+    )
+    robot_config.check("robot")
+    options = {
+        "scenario": dump_scenario(scenario),
+        "virtual_rings": is_virtual,
+        "minimum_fraction": minimum_fraction,
+        "dry_run": dry_run,
+        "command": shlex.join(["tofssm", *sys.argv[1:]]),
+    }
+    if out is not None:
+        make_folder(out)
+    with contextlib.ExitStack() as stack:
+        stopped = stack.enter_context(catch_stop())
+        recorder = None
+        if record is not None:
+            recorder = stack.enter_context(RunRecorder(record, options))
+        link = None
+        if addresses:
+            link = stack.enter_context(
+                RingLink(
+                    addresses=addresses,
+                    decoder=RingDecoder(
+                        config=RingLinkConfig(),
+                        num_sensors=scenario.sensors_per_ring,
+                        timing_budget=scenario.rings.sensor.timing_budget,
+                    ),
+                    tap=None if recorder is None else recorder.add_ring_bytes,
+                )
+            )
+        robot = RtdeClient(
+            robot_config,
+            tap=None if recorder is None else recorder.add_robot_bytes,
+        )
+        # Closed first of all: that puts the slider to 0.
+        stack.enter_context(robot)
+        display = make_display() if meshcat else None
+        if display is not None:
+            print(f"watch at {display.web_url()}", flush=True)
+        loop = HardwareLoop(
+            scenario=scenario,
+            virtual_rings=is_virtual,
+            send=None if dry_run else robot.send,
+            slider=slider,
+            meshcat=display,
+        )
+        run = HardwareRun(
+            loop=loop,
+            robot=robot,
+            rings=link,
+            period=scenario.control_period,
+            record=recorder,
+        )
+        first = run.wait(
+            timeout=wait,
+            tell=_console.print,
+            is_stopped=lambda: bool(stopped),
+        )
+        if first is None:
+            print("interrupted before the start")
+            return 130
+        require_ready(
+            first,
+            scenario,
+            loop.workcell.station.plant,
+            max_deviation=math.inf if any_pose else 0.5,
+        )
+        end = _run(run, robot, link, stopped, duration, dry_run)
+        robot.close()
+    print(f"{end.reason}; {_describe_slider(dry_run)}", flush=True)
+    if out is not None and end.result is not None:
+        _write_report(
+            loop,
+            scenario,
+            end,
+            out,
+            scenario_name,
+            options["command"],
+            is_real=not is_virtual,
+        )
+    return end.code
+
+
+@dc.dataclass
+class _End:
+    """How a run ended."""
+
+    reason: str
+    code: int
+    result: TickResult | None = None
+    wall_time: float = 0.0
+
+
+def _run(run, robot, link, stopped, duration, dry_run):
+    """Runs until something ends it; closes the robot before it tells."""
+    result = None
+    begin = time.monotonic()
+    status = _Status(robot, link, dry_run)
+    try:
+        with status:
+            while True:
+                result = run.step() or result
+                status.show(result)
+                elapsed = time.monotonic() - begin
+                if stopped:
+                    end = _End("interrupted", 130)
+                    break
+                if result is not None and result.task_done:
+                    end = _End("all products are placed", 0)
+                    break
+                if duration and elapsed >= duration:
+                    end = _End(f"ran for {duration:g} s", 0)
+                    break
+    except UserError as error:
+        end = _End(f"stopped: {error}", 1)
+    except Exception as error:
+        # Whatever it is: the robot must not go on.
+        text = " ".join(str(error).split())
+        end = _End(f"stopped: {type(error).__name__}: {text}", 1)
+    end.result = result
+    end.wall_time = time.monotonic() - begin
+    return end
+
+
+def _describe_slider(dry_run):
+    return "nothing was written (dry run)" if dry_run else "slider set to 0"
+
+
+class _Status:
+    """One line that is always there, and one for each stop or new phase."""
+
+    def __init__(self, robot, link, dry_run):
+        self._robot = robot
+        self._link = link
+        self._dry_run = dry_run
+        self._live = Live(console=_console, auto_refresh=False, transient=True)
+        self._shown = -math.inf
+        self._state = None
+
+    def __enter__(self):
+        if _console.is_terminal:
+            self._live.__enter__()
+        return self
+
+    def __exit__(self, *exception):
+        if _console.is_terminal:
+            self._live.__exit__(*exception)
+
+    def show(self, result: TickResult | None) -> None:
+        """Shows what is new, now and then."""
+        if result is None:
+            return
+        told = result.robot_state == RobotState.STOP, result.slider.phase
+        if told != self._state:
+            self._state = told
+            reason = result.slider.reason or result.reason
+            _console.print(
+                f"{result.time:8.2f} s  "
+                f"{RobotState(result.robot_state).name.lower()}, slider "
+                f"{result.slider.phase.name.lower()}: {reason}",
+                markup=False,
+                soft_wrap=True,
+            )
+        now = time.monotonic()
+        if not _console.is_terminal or now - self._shown < _STATUS_PERIOD:
+            return
+        self._shown = now
+        line = describe_status(
+            result, self._robot.get_report(), self._robot.get_status(), now
+        )
+        if self._link is not None:
+            line += f" | {self._link.get_status().describe(now)}"
+        if self._dry_run:
+            line += " | dry run"
+        self._live.update(Text(line), refresh=True)
+
+
+def describe_status(result, report, status, now: float) -> str:
+    """Returns the status line: state, distance, slider, ages, gaps.
+
+    Args:
+        result: Of the newest tick.
+        report: The robot's newest.
+        status: Of the connection.
+        now: Host's time, s.
+    """
+    distance = result.separation.distance
+    nearest = int(distance.argmin())
+    near = "clear"
+    if math.isfinite(distance[nearest]):
+        near = f"{RINGS[nearest]} {distance[nearest]:.2f} m"
+    age = 1e3 * (now - report.time)
+    parts = [
+        RobotState(result.robot_state).name.lower(),
+        near,
+        f"rho {result.speed_fraction:.2f}, slider "
+        f"{report.target_speed_fraction:.2f}",
+        f"robot {age:.0f} ms, {status.missed} missed",
+        f"{result.products_placed} placed",
+    ]
+    if status.problem:
+        parts.append(f"robot: {status.problem}")
+    return " | ".join(parts)
+
+
+def _write_report(loop, scenario, end, out, name, command, is_real):
+    """Writes what a simulation writes: report, summary, samples."""
+    samples = loop.workcell.recorder.make_samples(loop.context)
+    samples.metadata |= {
+        "interrupted": end.code != 0,
+        "scenario_name": name,
+        "command": command,
+    }
+    summary = summarize(
+        scenario,
+        samples,
+        Progress(
+            time=end.result.time,
+            products_placed=end.result.products_placed,
+            wall_time=end.wall_time,
+            real_time_factor=end.result.time / max(end.wall_time, 1e-9),
+            finished=end.code == 0,
+        ),
+    )
+    if is_real:
+        # Nothing that is compared with a person's truth means anything.
+        summary |= {"person_is_known": False, "ghost_s_by_ring": {}}
+    write_results(samples, summary, out)
+    print(
+        f"{end.result.products_placed} products placed in "
+        f"{end.result.time:.1f} s; report: {out / 'report.html'}"
+    )

@@ -1,0 +1,65 @@
+import unittest
+
+from tofssm_drake.hardware.robot_clock import RobotClock
+from tofssm_drake.messages import RobotReport
+
+_PERIOD = 0.008
+
+
+def report(timestamp, time, session=0):
+    return RobotReport(
+        sequence=0, session=session, timestamp=timestamp, time=time
+    )
+
+
+class TestRobotClock(unittest.TestCase):
+    def test_begins_at_zero_and_hits_the_ticks(self):
+        clock = RobotClock(period=_PERIOD)
+        for k in range(1000):
+            # A sum gathers rounding errors, as a robot's clock may.
+            timestamp = 54.321 + sum([_PERIOD] * k)
+            self.assertEqual(
+                clock.update(report(timestamp, 900.0 + timestamp)), k * _PERIOD
+            )
+
+    def test_between_ticks_stays_there(self):
+        clock = RobotClock(period=_PERIOD)
+        times = [
+            clock.update(report(5.0 + 0.002 * k, 1.0 + 0.002 * k))
+            for k in range(6)
+        ]
+        for k, time in enumerate(times):
+            self.assertAlmostEqual(time, 0.002 * k, places=12)
+        self.assertEqual(times[4], _PERIOD)
+
+    def test_missed_packages_are_time_as_well(self):
+        clock = RobotClock(period=_PERIOD)
+        clock.update(report(5.0, 1.0))
+        self.assertEqual(clock.update(report(5.08, 1.08)), 10 * _PERIOD)
+
+    def test_new_session_takes_the_hosts_time(self):
+        clock = RobotClock(period=_PERIOD)
+        clock.update(report(500.0, 1.0))
+        clock.update(report(500.008, 1.008))
+        # The robot started anew: its clock is back at zero after 2 s.
+        time = clock.update(report(0.5, 3.008, session=1))
+        self.assertAlmostEqual(time, 2.008)
+        self.assertAlmostEqual(
+            clock.update(report(0.508, 3.016, session=1)), 2.016
+        )
+
+    def test_never_goes_back(self):
+        clock = RobotClock(period=_PERIOD)
+        clock.update(report(5.0, 1.0))
+        clock.update(report(5.08, 1.08))
+        self.assertEqual(clock.update(report(5.04, 1.09)), 0.08)
+
+    def test_lateness_counts_from_the_fastest(self):
+        clock = RobotClock(period=_PERIOD)
+        for k in range(10):
+            clock.update(report(k * _PERIOD, 1.0 + k * _PERIOD))
+        self.assertAlmostEqual(clock.lateness, 0.0)
+        clock.update(report(10 * _PERIOD, 1.3 + 10 * _PERIOD))
+        self.assertAlmostEqual(clock.lateness, 0.3, places=3)
+        # The offset stays that of the fast ones.
+        self.assertAlmostEqual(clock.offset, -1.0, places=4)

@@ -1,0 +1,119 @@
+import json
+from pathlib import Path
+import tempfile
+import unittest
+
+from mcap.reader import make_reader
+import numpy as np
+
+from tofssm_drake.errors import UserError
+import tofssm_drake.hardware.run_record as mut
+from tofssm_drake.messages import RingScan, RobotReport, SliderCommand
+
+
+def make_tick(k, scans):
+    return mut.RecordedTick(
+        time=0.008 * k,
+        clock_offset=-100.0 / 3.0,
+        report=RobotReport(
+            sequence=k, session=0, time=1e5 / 3 + k, timestamp=k / 3
+        ),
+        scans=scans,
+        command=SliderCommand(sequence=k, speed_fraction=1 / 3, heartbeat=k),
+        state={"robot_state": 1, "reason": 'a "NaN" is no number'},
+    )
+
+
+def make_scan(k):
+    return RingScan(
+        sequence=k,
+        time=k / 7,
+        sensor_time=np.array([k / 9, -np.inf]),
+        distance=np.array([np.inf, np.nan]),
+        status=np.array([0, 255], dtype=np.uint8),
+    )
+
+
+class TestRunRecord(unittest.TestCase):
+    def setUp(self):
+        folder = tempfile.TemporaryDirectory()
+        self.addCleanup(folder.cleanup)
+        self.path = Path(folder.name) / "run.mcap"
+
+    def write(self, count=5):
+        ticks = []
+        with mut.RunRecorder(self.path, {"what": "test"}) as recorder:
+            scan = make_scan(0)
+            for k in range(count):
+                if k % 2 == 0:
+                    scan = make_scan(k)
+                ticks.append(make_tick(k, (scan, scan)))
+                recorder.add_robot_bytes(0.0, k == 0, bytes([k]))
+                recorder.add_ring_bytes(0.0, "udp", b"frame")
+                recorder.add_tick(ticks[-1])
+        return ticks
+
+    def assert_equal(self, a, b):
+        for name, value in vars(a).items():
+            other = vars(b)[name]
+            if isinstance(value, np.ndarray):
+                self.assertEqual(value.dtype, other.dtype)
+            np.testing.assert_array_equal(value, other)
+
+    def test_round_trip_to_the_last_bit(self):
+        ticks = self.write()
+        reader = mut.RunReader(self.path)
+        self.assertEqual(reader.run["what"], "test")
+        read = list(reader.read_ticks())
+        self.assertEqual(len(read), len(ticks))
+        for was, now in zip(ticks, read, strict=True):
+            self.assertEqual(
+                (was.time, was.clock_offset, was.state),
+                (now.time, now.clock_offset, now.state),
+            )
+            self.assert_equal(was.report, now.report)
+            self.assert_equal(was.command, now.command)
+            for a, b in zip(was.scans, now.scans, strict=True):
+                self.assert_equal(a, b)
+
+    def test_a_file_that_ends_anywhere_is_read_so_far(self):
+        self.write(50)
+        whole = self.path.read_bytes()
+        counts = []
+        for size in range(len(whole) // 2, len(whole), 997):
+            self.path.write_bytes(whole[:size])
+            counts.append(len(list(mut.RunReader(self.path).read_ticks())))
+        self.assertEqual(counts, sorted(counts))
+        self.assertGreater(counts[0], 5)
+        self.assertLess(counts[0], 50)
+
+    def test_others_can_read_it(self):
+        self.write()
+        with self.path.open("rb") as stream:
+            reader = make_reader(stream, validate_crcs=True)
+            counts = {}
+            for _, channel, message in reader.iter_messages():
+                counts[channel.topic] = counts.get(channel.topic, 0) + 1
+                if channel.message_encoding == "json":
+                    # Strict: what is no JSON does not pass.
+                    json.loads(message.data, parse_constant=self.fail)
+        self.assertEqual(
+            counts,
+            {
+                "/run": 1,
+                "/tick": 5,
+                "/monitor": 5,
+                "/robot/received": 4,
+                "/robot/sent": 1,
+                "/rings/received": 5,
+            },
+        )
+
+    def test_what_is_no_record(self):
+        with self.assertRaisesRegex(UserError, "can not read"):
+            mut.RunReader(self.path)
+        self.path.write_bytes(b"something else")
+        with self.assertRaisesRegex(UserError, "no MCAP file"):
+            mut.RunReader(self.path)
+        with self.assertRaisesRegex(UserError, "can not write"):
+            mut.RunRecorder(self.path.parent / "none" / "x.mcap", {})

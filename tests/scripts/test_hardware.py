@@ -1,0 +1,326 @@
+"""`tofssm hardware` on a simulated robot, over real sockets."""
+
+import contextlib
+import io
+import itertools
+import json
+from pathlib import Path
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+import unittest
+from unittest import mock
+
+from mcap.reader import make_reader
+import numpy as np
+from robot_process import find_free_host, start_robot
+from robot_room import make_robot, serve
+
+from tofssm_drake.diagrams.hardware_loop import HardwareLoop
+from tofssm_drake.diagrams.hardware_run import require_ready
+from tofssm_drake.diagrams.scenario import load_scenario
+from tofssm_drake.errors import UserError
+from tofssm_drake.hardware.rtde_client import RtdeClient, RtdeConfig
+from tofssm_drake.hardware.rtde_fields import RuntimeState, SafetyMode
+from tofssm_drake.hardware.rtde_protocol import PackageType
+from tofssm_drake.hardware.run_record import RunReader
+from tofssm_drake.messages import RobotReport
+from tofssm_drake.robot.kinematics import RingKinematics
+from tofssm_drake.robot.program import make_program_path
+from tofssm_drake.robot.twin import make_cell_plant
+from tofssm_drake.scripts.main import run
+
+_NOBODY = "{program: {products: 2}, human: !NoHuman {}}"
+
+
+def run_hardware(server, *options, text=_NOBODY, rings="virtual"):
+    """Returns exit code, stdout and stderr."""
+    out, err = io.StringIO(), io.StringIO()
+    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+        code = run(
+            [
+                *("hardware", "--robot-host", "127.0.0.1"),
+                *("--robot-port", str(server.address[1])),
+                *("--rings", rings, "--scenario-text", text),
+                *map(str, options),
+            ]
+        )
+    return code, out.getvalue(), err.getvalue()
+
+
+def run_replay(path):
+    out = io.StringIO()
+    with contextlib.redirect_stdout(out):
+        code = run(["replay", str(path)])
+    return code, out.getvalue()
+
+
+class TestHardware(unittest.TestCase):
+    def setUp(self):
+        folder = tempfile.TemporaryDirectory()
+        self.addCleanup(folder.cleanup)
+        self.folder = Path(folder.name)
+
+    def test_runs_then_leaves_the_slider_at_zero(self):
+        path = self.folder / "run.mcap"
+        robot = make_robot(start="heartbeat")
+        with serve(robot) as server:
+            code, out, err = run_hardware(
+                server,
+                *("--duration", 1.5, "--record", path),
+                *("--out", self.folder / "out"),
+                text="{program: {products: 2}}",
+            )
+            self.assertEqual(code, 0, err)
+            self.assertIn("ran for 1.5 s; slider set to 0", out)
+            self.assertEqual(robot.slider, 0.0)
+            self.assertGreater(robot.path_time, 0.1)
+        self.assertTrue((self.folder / "out" / "report.html").is_file())
+        summary = json.loads((self.folder / "out" / "summary.json").read_text())
+        self.assertFalse(summary["interrupted"])
+
+        ticks = list(RunReader(path).read_ticks())
+        fractions = [t.command.speed_fraction for t in ticks]
+        self.assertEqual(fractions[0], 0.0)
+        self.assertEqual(max(fractions), 1.0)
+        code, out = run_replay(path)
+        self.assertEqual(
+            (code, out.split(", ")[-1]), (0, "all states as recorded\n")
+        )
+
+    def test_replay_tells_a_difference(self):
+        path = self.folder / "run.mcap"
+        with serve() as server:
+            run_hardware(server, "--duration", 0.5, "--record", path)
+        data = path.read_bytes()
+        self.assertIn(b'"robot_state":2', data)
+        path.write_bytes(data.replace(b'"robot_state":2', b'"robot_state":1'))
+        code, out = run_replay(path)
+        self.assertEqual(code, 1)
+        self.assertIn("robot_state 2, was 1", out)
+
+    def test_dry_run_writes_nothing(self):
+        path = self.folder / "run.mcap"
+        robot = make_robot()
+        with serve(robot) as server:
+            before = dict(robot.inputs)
+            code, out, err = run_hardware(
+                server, "--dry-run", "--duration", 0.5, "--record", path
+            )
+            self.assertEqual((code, robot.slider), (0, 1.0), err)
+            self.assertEqual(robot.inputs, before)
+        self.assertIn("nothing was written (dry run)", out)
+        with path.open("rb") as stream:
+            kinds = {
+                message.data[2]
+                for _, channel, message in make_reader(stream).iter_messages()
+                if channel.topic == "/robot/sent"
+            }
+        self.assertIn(PackageType.SETUP_OUTPUTS, kinds)
+        self.assertNotIn(PackageType.SETUP_INPUTS, kinds)
+        self.assertNotIn(PackageType.DATA_PACKAGE, kinds)
+
+    def test_any_exception_leaves_the_slider_at_zero(self):
+        tick, count = HardwareLoop.tick, 0
+
+        def fail(loop, given):
+            nonlocal count
+            count += 1
+            if count > 100:
+                raise RuntimeError("something\nis broken")
+            return tick(loop, given)
+
+        robot = make_robot()
+        with (
+            serve(robot) as server,
+            mock.patch.object(HardwareLoop, "tick", fail),
+        ):
+            code, out, err = run_hardware(server)
+            self.assertEqual((code, robot.slider), (1, 0.0), err)
+        self.assertIn(
+            "stopped: RuntimeError: something is broken; slider set to 0", out
+        )
+
+    def test_a_stream_that_stalls_begins_anew_from_zero(self):
+        path = self.folder / "run.mcap"
+        tick, count = HardwareLoop.tick, 0
+
+        def stall(loop, given):
+            nonlocal count
+            # The loop counts its ticks in vain as well.
+            count += 1
+            if count == 100:
+                server.do("simulate stall 0.5")
+            return tick(loop, given)
+
+        robot = make_robot()
+        with (
+            serve(robot) as server,
+            mock.patch.object(HardwareLoop, "tick", stall),
+        ):
+            code, _, err = run_hardware(
+                server, "--duration", 2.5, "--record", path
+            )
+            self.assertEqual((code, robot.slider), (0, 0.0), err)
+        ticks = list(RunReader(path).read_ticks())
+        anew = [
+            b
+            for a, b in itertools.pairwise(ticks)
+            if b.report.session != a.report.session
+        ]
+        self.assertEqual(len(anew), 1)
+        self.assertEqual(anew[0].command.speed_fraction, 0.0)
+        self.assertEqual(anew[0].command.mask, 1)
+
+    def test_refuses_what_is_not_fit(self):
+        robot = make_robot()
+        robot.set_safety_mode(SafetyMode.PROTECTIVE_STOP)
+        with serve(robot) as server:
+            for options, rings, message in (
+                ((), "virtual", "safety mode is protective stop"),
+                (("--wait", 0.3), "udp://127.0.0.1:0", "names no port"),
+                (("--wait", 0), "virtual", "--wait"),
+                (("--duration", -1), "virtual", "--duration"),
+                (("--minimum-fraction", 0.5), "virtual", "minimum_fraction"),
+                ((), "udp://0.0.0.0:5005", "--allow-remote"),
+            ):
+                with self.subTest(message=message):
+                    code, out, err = run_hardware(server, *options, rings=rings)
+                    self.assertEqual((code, out), (2, ""))
+                    self.assertIn(message, err)
+                    self.assertEqual(err.count("\n"), 1)
+            self.assertEqual(robot.path_time, 0.0)
+
+    def test_says_what_it_waits_for(self):
+        with serve() as server:
+            code, _, err = run_hardware(
+                server, "--wait", 0.3, rings="udp://127.0.0.1:47811"
+            )
+            self.assertEqual(code, 2)
+            self.assertIn("no scan of base, elbow, tool", err)
+            self.assertIn("(waited 0.3 s)", err)
+        code, _, err = run_hardware(server, "--wait", 0.3)
+        self.assertEqual(code, 2)
+        self.assertIn("no report from the robot", err)
+        self.assertIn("refused", err)
+
+
+class TestReady(unittest.TestCase):
+    @classmethod
+    def setUpClass(cls):
+        cls.scenario = load_scenario()
+        cls.plant = make_cell_plant()
+        path = make_program_path(
+            cls.scenario.program, RingKinematics.from_plant(cls.plant)
+        )
+        cls.q = path.calc_motion(0.5 * path.duration)[0]
+
+    def require(self, *, max_deviation=0.5, **fields):
+        require_ready(
+            RobotReport(
+                **{"position": self.q, "safety_mode": 1, "safety_status": 1}
+                | fields
+            ),
+            self.scenario,
+            self.plant,
+            max_deviation=max_deviation,
+        )
+
+    def test_fit(self):
+        self.require()
+        self.require(safety_mode=2, safety_status=-1)
+
+    def test_safety_modes(self):
+        for fields in (
+            {"safety_mode": 3},
+            {"safety_mode": -1, "safety_status": -1},
+            {"safety_mode": 99},
+            {"safety_status": 5},
+        ):
+            with self.subTest(**fields):
+                with self.assertRaisesRegex(UserError, "safety mode is"):
+                    self.require(**fields)
+
+    def test_joints(self):
+        far = self.q + np.array([0.0, 0.0, 0.0, 0.0, 0.0, 1.5])
+        with self.assertRaisesRegex(UserError, "from where the scenario"):
+            self.require(position=far)
+        self.require(position=far, max_deviation=np.inf)
+        outside = self.q.copy()
+        outside[2] = 7.0
+        for q in (outside, np.full(6, np.nan)):
+            with self.assertRaisesRegex(UserError, "the model's limits"):
+                self.require(position=q, max_deviation=np.inf)
+
+
+class TestProcess(unittest.TestCase):
+    """What a signal does, measured by another client of the robot."""
+
+    def test_sigterm_sets_the_slider_to_zero(self):
+        with self.run_until_it_moves() as (watcher, process):
+            process.send_signal(signal.SIGTERM)
+            self.wait_for(
+                watcher, lambda r: r.target_speed_fraction == 0.0, 5.0
+            )
+            self.wait_for(watcher, lambda r: not r.velocity.any(), 5.0)
+            out, _ = process.communicate(timeout=30.0)
+            self.assertEqual(process.returncode, 130)
+            self.assertIn("interrupted; slider set to 0", out)
+
+    def test_killed_it_leaves_the_rest_to_the_robots_watchdog(self):
+        with self.run_until_it_moves() as (watcher, process):
+            process.kill()
+            process.communicate()
+            self.wait_for(
+                watcher,
+                lambda r: (
+                    r.runtime_state == RuntimeState.STOPPED
+                    and not r.velocity.any()
+                ),
+                5.0,
+            )
+
+    @contextlib.contextmanager
+    def run_until_it_moves(self):
+        host = find_free_host()
+        with start_robot(
+            *("--host", host, "--dashboard-port", -1),
+            *("--watchdog", 0.2, "--start", "heartbeat"),
+        ) as robot:
+            robot.stdout.readline()
+            with RtdeClient(RtdeConfig(host=host, write=False)) as watcher:
+                process = self.start(host)
+                self.wait_for(watcher, self.is_moving, 60.0)
+                yield watcher, process
+
+    def start(self, host):
+        process = subprocess.Popen(
+            [
+                *(sys.executable, "-m", "tofssm_drake.scripts.main"),
+                *("hardware", "--robot-host", host, "--rings", "virtual"),
+                *("--scenario-text", "{human: !NoHuman {}}", "--any-pose"),
+            ],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+        self.addCleanup(process.kill)
+        return process
+
+    def is_moving(self, report):
+        return (
+            report.runtime_state == RuntimeState.PLAYING
+            and report.target_speed_fraction > 0.9
+            and report.velocity.any()
+        )
+
+    def wait_for(self, watcher, condition, timeout):
+        deadline = time.monotonic() + timeout
+        report = watcher.get_report()
+        while time.monotonic() < deadline:
+            report = watcher.wait_for_report(after=report.sequence, timeout=0.5)
+            if condition(report):
+                return report
+        raise AssertionError(f"waited in vain; {report}")

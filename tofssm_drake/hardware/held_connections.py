@@ -1,0 +1,75 @@
+"""Connections that show one report and its scans until they get the next.
+
+Systems that were given these see the same data in all steps of a tick,
+whatever arrives in the meantime. So a tick follows from what was handed in,
+live as in a replay.
+"""
+
+from collections.abc import Callable
+
+from tofssm_drake.hardware.ring_link import RingLinkStatus
+from tofssm_drake.hardware.robot_connection import RtdeStatus
+from tofssm_drake.messages import RINGS, RingScan, RobotReport, SliderCommand
+
+
+class HeldRobot:
+    """A `RobotConnection` that shows the report it was given.
+
+    Args:
+        send: Takes commands and returns whether they were handed over; None
+            drops them.
+    """
+
+    def __init__(self, send: Callable[[SliderCommand], bool] | None = None):
+        self._send = send
+        self.report = RobotReport()
+        """What it shows."""
+
+    def get_report(self) -> RobotReport:
+        """Returns the report that it was given."""
+        return self.report
+
+    def wait_for_report(self, *, after: int, timeout: float) -> RobotReport:
+        """Returns at once what `get_report` returns."""
+        return self.report
+
+    def send(self, command: SliderCommand) -> bool:
+        """Hands a command on; returns whether it was handed over."""
+        return self._send is not None and self._send(command)
+
+    def get_status(self) -> RtdeStatus:
+        """Returns that it is connected once it has a report."""
+        return RtdeStatus(connected=self.report.sequence >= 0, problem="")
+
+    def close(self) -> None:
+        """There is nothing to close."""
+
+
+class HeldRings:
+    """A `RingConnection` that shows the scans it was given."""
+
+    def __init__(self):
+        self.scans: tuple[RingScan, ...] = tuple(RingScan() for _ in RINGS)
+        """What it shows, on the host's clock."""
+
+    def get_scans(self) -> tuple[RingScan, ...]:
+        """Returns the scans that it was given."""
+        return self.scans
+
+    def get_status(self) -> RingLinkStatus:
+        """Returns when the scans came."""
+        return RingLinkStatus(
+            source="held",
+            counts={},
+            arrival={
+                ring: scan.time
+                for ring, scan in zip(RINGS, self.scans, strict=True)
+            },
+        )
+
+    def wait_for_scans(self, timeout: float) -> bool:
+        """Returns at once whether there is a scan of each ring."""
+        return all(scan.sequence >= 0 for scan in self.scans)
+
+    def close(self) -> None:
+        """There is nothing to close."""
