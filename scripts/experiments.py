@@ -1,5 +1,6 @@
 """`tofssm experiments`: the paper's experiment, and its report."""
 
+import copy
 import hashlib
 from pathlib import Path
 import shlex
@@ -109,6 +110,7 @@ def experiments(
     """Run the paper's experiment and write its tables, figures and report."""
     scenario = load_scenario(text=scenario_text)
     scenario.simulation_duration = duration
+    require_free(scenario)
     scenario.check()
     motions = read_motions(human_motions, scenario)
     plan = make_plan(
@@ -116,7 +118,7 @@ def experiments(
         trials=trials,
         sensings=sensing or list(SENSINGS),
         configurations=ssm or list(CONFIGURATIONS),
-        variants=list(VARIANTS) if study == ["all"] else study or [],
+        variants=expand_studies(study or []),
         scenario=dump_scenario(scenario),
         motions={
             name: hashlib.sha256(content).hexdigest()
@@ -158,6 +160,35 @@ def experiments(
         failures=failures,
     )
     return tell(report, failures)
+
+
+def expand_studies(names: list[str]) -> list[str]:
+    """Returns the studies, all of them in place of `all`."""
+    others = [name for name in names if name != "all"]
+    if len(others) == len(names):
+        return names
+    return [*VARIANTS, *(name for name in others if name not in VARIANTS)]
+
+
+def require_free(scenario: Scenario) -> None:
+    """Raises UserError if a setting is changed that cells or trials decide."""
+    default = load_scenario()
+    human = copy.deepcopy(default.human)
+    human.figure_eight = getattr(scenario.human, "figure_eight", None)
+    for name, same in {
+        "sensing": scenario.sensing == default.sensing,
+        "sensors_per_ring": scenario.sensors_per_ring
+        == default.sensors_per_ring,
+        "random_seed": scenario.random_seed == default.random_seed,
+        "ssm.configuration": scenario.ssm.configuration
+        == default.ssm.configuration,
+        "human": scenario.human == human,
+    }.items():
+        require(
+            same,
+            f"--scenario-text: {name}: is decided by the campaign's cells and "
+            "trials; see --sensing, --ssm, --seed and --human-motions",
+        )
 
 
 def read_motions(folder: Path | None, scenario: Scenario) -> dict[str, bytes]:

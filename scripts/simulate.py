@@ -29,7 +29,7 @@ from tofssm_drake.diagrams.simulation import Progress, Run
 from tofssm_drake.diagrams.workcell import Workcell, make_workcell
 from tofssm_drake.errors import UserError, require
 from tofssm_drake.evaluation.metrics import calc_summary
-from tofssm_drake.evaluation.report import write_report
+from tofssm_drake.evaluation.report import count_of, write_report
 from tofssm_drake.evaluation.samples import (
     Samples,
     write_atomically,
@@ -405,8 +405,9 @@ def tell(summary: dict, out: Path) -> None:
     print(
         f"{summary['products_placed']} products placed in "
         f"{summary['simulated_s']:.1f} s{end}; "
-        f"{summary['stop_events']} stops, "
-        f"{summary['contact_while_moving_events']} contacts while moving; "
+        f"{count_of(summary['stop_events'], 'stop')}, "
+        f"{count_of(summary['contact_while_moving_events'], 'contact')} "
+        "while moving; "
         f"{summary['real_time_factor']:.1f} x real time"
     )
     for name in ("report.html", "recording.html"):

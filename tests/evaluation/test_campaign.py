@@ -149,7 +149,7 @@ class TestFolder(unittest.TestCase):
             ({"motions": {"a.bvh": "0"}}, "motions.a.bvh is new"),
             ({"sensings": ["tof"]}, "without cell lidar vo now"),
             ({"trials": 1}, "without trial 2"),
-            ({"seed": 1}, "without trial 1"),
+            ({"seed": 1}, "seed: 0 then, 1 now"),
         ):
             with self.subTest(message), self.assertRaises(UserError) as caught:
                 mut.check_folder(self.folder, make_plan(**changes))

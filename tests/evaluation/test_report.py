@@ -136,12 +136,12 @@ class TestReport(unittest.TestCase):
         _, checker, text = self._make(_make_contact_run())
         self.assertIn(
             "The moving robot touched the person: 1 contact, at up to "
-            "0.62 m/s.",
+            "0.620 m/s.",
             text,
         )
         self.assertIn(
             "At 2.00 s the robot's wrist 3 touched the person's left forearm "
-            "while moving at 0.62 m/s",
+            "while moving at 0.620 m/s",
             text,
         )
         self.assertIn("never seen by any ring", text)

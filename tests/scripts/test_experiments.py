@@ -298,6 +298,9 @@ BAD_INPUT = {
     "workers": (("--workers", "0"), "--workers: 0 must be from 1"),
     "duration": (("--duration", "0"), "simulation_duration: 0"),
     "text": (("--scenario-text", "{ssm: {C_dc: 1}}"), "did you mean 'C_dC'?"),
+    "fixed": (("--scenario-text", "{random_seed: 5}"), "random_seed: is deci"),
+    "nobody": (("--scenario-text", "{human: !NoHuman {}}"), "human: is decid"),
+    "all": (("--study", "all", "--study", "foo"), "--study: 'foo' is unknown"),
     "figure": (
         ("--scenario-text", "{human: {figure_eight: {half_width: 0.1}}}"),
         "half_width",
@@ -345,7 +348,7 @@ class TestBadInput:
         ("arguments", "message"),
         [
             (("--scenario-text", "{}"), "scenario.program.products: 1 then"),
-            (("--seed", "1"), "without trial 1"),
+            (("--seed", "1"), "seed: 0 then, 1 now"),
             (("--duration", "0.5"), "scenario.simulation_duration: 0.4 then"),
         ],
     )

@@ -371,16 +371,19 @@ def find_change(old: dict, new: dict) -> str | None:
         old: From `describe_plan`.
         new: Likewise.
     """
-    for part in ("cells", "trials"):
-        for item in old[part]:
-            if item not in new[part]:
-                name = " ".join(str(value) for value in item.values() if value)
-                return f"without {part[:-1]} {name} now"
+    lists = {part: old[part] for part in ("cells", "trials")}
     rest = [
-        {k: v for k, v in plan.items() if k not in ("cells", "trials")}
-        for plan in (old, new)
+        {k: v for k, v in plan.items() if k not in lists} for plan in (old, new)
     ]
-    return find_difference(*rest)
+    if difference := find_difference(*rest):
+        return difference
+    for part, items in lists.items():
+        for item in items:
+            if item not in new[part]:
+                values = [item["number"]] if "number" in item else item.values()
+                name = " ".join(str(value) for value in values if value)
+                return f"without {part[:-1]} {name} now"
+    return None
 
 
 def check_folder(folder: Path, plan: Plan) -> None:

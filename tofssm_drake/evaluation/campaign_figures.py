@@ -558,6 +558,8 @@ def make_radar_figure(results: Results, *, narrow: bool = False) -> Figure:
         )
         for ax, (title, curves) in zip(axes.ravel(), RADARS, strict=True):
             _draw_radar(ax, results, cells, title, curves)
+        # A browser's letters are wider than those that were measured here.
+        figure.get_layout_engine().set(w_pad=0.2)
     return figure
 
 

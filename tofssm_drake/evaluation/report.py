@@ -101,7 +101,7 @@ def make_verdict(
                 "bad",
                 f"The moving robot touched the person: "
                 f"{count_of(contacts, 'contact')}, at up to "
-                f"{summary['contact_while_moving_max_mps']:.2f} m/s.",
+                f"{summary['contact_while_moving_max_mps']:.3f} m/s.",
             )
         )
     elif not summary.get("person_is_known", True):
@@ -258,7 +258,7 @@ def describe_contact(contact: Contact, noun: str = "ring") -> list[str]:
     text = [
         f"At {contact.time:.2f} s the robot's {_words(contact.robot_body)} "
         f"touched the person's {_words(contact.person_part)} while moving at "
-        f"{contact.first_speed:.2f} m/s (at most {contact.max_speed:.2f} m/s "
+        f"{contact.first_speed:.3f} m/s (at most {contact.max_speed:.3f} m/s "
         f"over the {contact.duration:.2f} s of the contact). The robot was "
         f"in state {figures.STATE_NAME[contact.robot_state]}."
     ]
