@@ -333,6 +333,32 @@ class TestNormals(unittest.TestCase):
         for bad in (0, -2):
             with self.assertRaisesRegex(ValueError, "geometry_index"):
                 dut.calc_normals(X_WF, three, three, np.ones(3), [-1, bad, -1])
+        with self.assertRaisesRegex(ValueError, "geometry_index"):
+            dut.calc_normals(X_WF, three, three, np.ones(3), [-1, -0.5, -1])
+
+    def test_numbers_that_are_none(self):
+        scene = oracle.Scene()
+        scene.add(Sphere(1.0))
+        dut = mut.RayCaster(scene.inspector)
+        X_WF = dut.poses_from_query_object(scene.query_object())
+        p, n = np.array([[-3.0, 0, 0]]), np.array([[1.0, 0, 0]])
+        hits = dut.cast(X_WF, p, n)
+        dut.calc_normals(X_WF, p, n, *hits)
+        bundles = dut.make_bundles(
+            frame_id=dut.frame_ids[0],
+            X_FS=[RigidTransform()],
+            fan_S=n,
+            max_range=5.0,
+        )
+        dut.calc_rays(bundles, X_WF)
+        for bad in (2.0 * X_WF, np.nan * X_WF):
+            with self.assertRaisesRegex(ValueError, "X_WF"):
+                dut.calc_normals(bad, p, n, *hits)
+            with self.assertRaisesRegex(ValueError, "X_WF"):
+                dut.calc_rays(bundles, bad)
+        for bad_p, bad_n in ((p + np.inf, n), (p, 2.0 * n), (p, np.nan * n)):
+            with self.assertRaisesRegex(ValueError, "p_WR, n_WR"):
+                dut.calc_normals(X_WF, bad_p, bad_n, *hits)
 
 
 class TestRayCaster(unittest.TestCase):

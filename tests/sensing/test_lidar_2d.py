@@ -440,6 +440,9 @@ class TestLidar2d(unittest.TestCase):
         ):
             with self.assertRaisesRegex(ValueError, "^bundle: 1 of 720 rays"):
                 mut.Lidar2d(config=other, caster=caster, bundle=bundle)
+        shorter = mut.Lidar2dConfig(max_range=2.0)
+        with self.assertRaisesRegex(ValueError, "^bundle: reaches 10 m"):
+            mut.Lidar2d(config=shorter, caster=caster, bundle=bundle)
         bad = mut.Lidar2dConfig(angle_step_deg=0.0)
         with self.assertRaisesRegex(UserError, "lidar.angle_step_deg"):
             mut.make_lidar_bundle(config=bad, caster=caster)

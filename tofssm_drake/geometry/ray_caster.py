@@ -479,7 +479,7 @@ class RayCaster:
         Raises:
             ValueError: If the bundles or poses do not fit.
         """
-        X_WF = self._check_poses(X_WF)
+        X_WF = self._check_values(self._check_poses(X_WF))
         self._check_bundles(bundles)
         R_WF = X_WF[bundles.frame_index, :, :3]
         R_WS = R_WF @ bundles.X_FS[:, :, :3]
@@ -512,10 +512,11 @@ class RayCaster:
             rays; NaN where there is no hit or the ray starts inside.
 
         Raises:
-            ValueError: If shapes of arrays do not fit, or an index is none of
-                this caster's.
+            ValueError: If shapes of arrays do not fit, a pose is none, a
+                direction is not a unit vector, or an index is none of this
+                caster's.
         """
-        X_WF = self._check_poses(X_WF)
+        X_WF = self._check_values(self._check_poses(X_WF))
         shape = np.shape(distance)
         if not (
             np.shape(geometry_index) == shape
@@ -527,11 +528,22 @@ class RayCaster:
                 " belong together"
             )
         self._check_indices(geometry_index)
+        p_WR = np.array(p_WR, dtype=float).reshape(-1, 3)
+        n_WR = np.array(n_WR, dtype=float).reshape(-1, 3)
+        length = np.linalg.norm(n_WR, axis=1)
+        if not (
+            np.isfinite(p_WR).all()
+            and (np.abs(length - 1.0) <= _UNIT_TOLERANCE).all()
+        ):
+            raise ValueError(
+                "p_WR, n_WR: an origin is not finite, or a direction is not a"
+                " unit vector"
+            )
         normals = ray_kernels.calc_normals(
             X_WF,
             self._scene,
-            np.array(p_WR, dtype=float).reshape(-1, 3),
-            np.array(n_WR, dtype=float).reshape(-1, 3),
+            p_WR,
+            n_WR,
             np.array(distance, dtype=float).reshape(-1),
             np.array(geometry_index, dtype=np.int64).reshape(-1),
         )
@@ -555,8 +567,18 @@ class RayCaster:
             geometry_index
         ]
 
+    def _check_values(self, X_WF: np.ndarray) -> np.ndarray:
+        """Returns poses that are finite and turn nothing but rigidly."""
+        if not ray_kernels.are_poses(X_WF):
+            raise ValueError("X_WF: a pose is not finite or no rotation")
+        return X_WF
+
     def _check_indices(self, geometry_index: np.ndarray) -> None:
         indices = np.asarray(geometry_index)
+        if indices.dtype.kind not in "iu":
+            raise ValueError(
+                f"geometry_index: {indices.dtype} is no whole number"
+            )
         if not ((indices >= -1) & (indices < len(self._geometry_ids))).all():
             raise ValueError(
                 "geometry_index: has an index that is neither -1 nor one of"

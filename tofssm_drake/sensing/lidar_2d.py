@@ -209,6 +209,11 @@ class Lidar2d(LeafSystem):
                 f"bundle: {bundle.num_bundles} of {len(bundle.fan_S)} rays is"
                 f" not the one of this lidar's {len(angles)} rays"
             )
+        if bundle.max_range[0] != config.max_range:
+            raise ValueError(
+                f"bundle: reaches {bundle.max_range[0]:g} m, the lidar "
+                f"{config.max_range:g} m"
+            )
         self._config = dc.replace(config)
         self._caster = caster
         self._bundle = bundle
