@@ -166,13 +166,14 @@ class TestHardware(unittest.TestCase):
             self.assertEqual((code, robot.slider), (0, 0.0), err)
         ticks = list(RunReader(path).read_ticks())
         anew = [
-            b
+            (a, b)
             for a, b in itertools.pairwise(ticks)
             if b.report.session != a.report.session
         ]
-        # A busy computer may make one more by itself.
-        self.assertGreaterEqual(len(anew), 1)
-        for first in anew:
+        # A busy computer may make shorter ones by itself.
+        stalls = [a for a, b in anew if b.report.time - a.report.time > 0.4]
+        self.assertEqual(len(stalls), 1)
+        for _, first in anew:
             self.assertEqual(first.command.speed_fraction, 0.0)
             self.assertEqual(first.command.mask, 1)
 
