@@ -30,6 +30,7 @@ from tofssm_drake.hardware.rtde_client import RtdeClient, RtdeConfig
 from tofssm_drake.hardware.run_record import RunRecorder
 from tofssm_drake.hardware.slider import SliderConfig
 from tofssm_drake.messages import RINGS, RobotState
+import tofssm_drake.scripts.options as options
 from tofssm_drake.scripts.simulate import (
     catch_stop,
     make_display,
@@ -65,24 +66,11 @@ def hardware(
         bool,
         typer.Option(help="Let --rings listen on every interface (0.0.0.0)."),
     ] = False,
-    scenario_file: Annotated[
-        Path | None,
-        typer.Option(help="YAML file of scenarios; default: those shipped."),
-    ] = None,
-    scenario_name: Annotated[
-        str, typer.Option(help="Which scenario of the file.")
-    ] = "Default",
-    scenario_text: Annotated[
-        str,
-        typer.Option(help="Settings to change, as YAML, e.g. '{a: {b: 1}}'."),
-    ] = "",
-    ssm: Annotated[
-        str | None,
-        typer.Option(help="Safety law: vo, vr or sm.", metavar="vo|vr|sm"),
-    ] = None,
-    sensors_per_ring: Annotated[
-        int | None, typer.Option(help="8 or 16.")
-    ] = None,
+    scenario_file: options.ScenarioFile = None,
+    scenario_name: options.ScenarioName = "Default",
+    scenario_text: options.ScenarioText = "",
+    ssm: options.Ssm = None,
+    sensors_per_ring: options.SensorsPerRing = None,
     human_motion: Annotated[
         Path | None,
         typer.Option(

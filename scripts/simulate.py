@@ -36,6 +36,7 @@ from tofssm_drake.evaluation.samples import (
     write_samples,
 )
 from tofssm_drake.human.bvh import BvhRecording
+import tofssm_drake.scripts.options as options
 from tofssm_drake.ssm.config import CONFIGURATIONS
 from tofssm_drake.visualization.recording import (
     start_recording,
@@ -53,21 +54,10 @@ RESULTS = (
 
 
 def simulate(
-    scenario_file: Annotated[
-        Path | None,
-        typer.Option(help="YAML file of scenarios; default: those shipped."),
-    ] = None,
-    scenario_name: Annotated[
-        str, typer.Option(help="Which scenario of the file.")
-    ] = "Default",
-    scenario_text: Annotated[
-        str,
-        typer.Option(help="Settings to change, as YAML, e.g. '{a: {b: 1}}'."),
-    ] = "",
-    ssm: Annotated[
-        str | None,
-        typer.Option(help="Safety law: vo, vr or sm.", metavar="vo|vr|sm"),
-    ] = None,
+    scenario_file: options.ScenarioFile = None,
+    scenario_name: options.ScenarioName = "Default",
+    scenario_text: options.ScenarioText = "",
+    ssm: options.Ssm = None,
     sensing: Annotated[
         str | None,
         typer.Option(
@@ -75,19 +65,9 @@ def simulate(
             metavar="tof|ideal|lidar",
         ),
     ] = None,
-    sensors_per_ring: Annotated[
-        int | None, typer.Option(help="8 or 16.")
-    ] = None,
-    human_motion: Annotated[
-        Path | None,
-        typer.Option(
-            help="A BVH recording whose gait the person walks with.",
-            metavar="FILE.bvh",
-        ),
-    ] = None,
-    seed: Annotated[
-        int | None, typer.Option(help="Seed of the sensors' errors.")
-    ] = None,
+    sensors_per_ring: options.SensorsPerRing = None,
+    human_motion: options.HumanMotion = None,
+    seed: options.Seed = None,
     duration: Annotated[
         float | None, typer.Option(help="Longest simulated time, s.")
     ] = None,
@@ -170,16 +150,16 @@ def simulate(
     return 130 if summary["interrupted"] else 0
 
 
-def describe_run(scenario_name: str, options: dict) -> str:
+def describe_run(scenario_name: str, settings: dict) -> str:
     """Returns a title: the scenario and what the command line changed.
 
     Args:
         scenario_name: Of the scenario before.
-        options: Values by name; None where nothing was changed.
+        settings: Values by name; None where nothing was changed.
     """
     changes = [
         f"{name} {value.name if isinstance(value, Path) else value}"
-        for name, value in options.items()
+        for name, value in settings.items()
         if value is not None
     ]
     return ", ".join([scenario_name, *changes])

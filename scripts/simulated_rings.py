@@ -1,7 +1,6 @@
 """`tofssm simulated-rings`: rings around a robot, to try things out with."""
 
 import dataclasses as dc
-from pathlib import Path
 import time
 from typing import Annotated
 
@@ -23,6 +22,7 @@ from tofssm_drake.hardware.ring_device import (
 from tofssm_drake.hardware.ring_fault_injection import parse_ring_fault
 from tofssm_drake.hardware.rtde_client import RtdeClient, RtdeConfig
 from tofssm_drake.messages import RINGS
+import tofssm_drake.scripts.options as options
 from tofssm_drake.scripts.simulate import catch_stop, override
 
 _console = Console(stderr=True, highlight=False)
@@ -45,30 +45,12 @@ def simulated_rings(
         bool,
         typer.Option("--pty", help="Make a serial line and send there."),
     ] = False,
-    scenario_file: Annotated[
-        Path | None,
-        typer.Option(help="YAML file of scenarios; default: those shipped."),
-    ] = None,
-    scenario_name: Annotated[
-        str, typer.Option(help="Which scenario of the file.")
-    ] = "Default",
-    scenario_text: Annotated[
-        str,
-        typer.Option(help="Settings to change, as YAML, e.g. '{a: {b: 1}}'."),
-    ] = "",
-    sensors_per_ring: Annotated[
-        int | None, typer.Option(help="8 or 16.")
-    ] = None,
-    human_motion: Annotated[
-        Path | None,
-        typer.Option(
-            help="A BVH recording whose gait the person walks with.",
-            metavar="FILE.bvh",
-        ),
-    ] = None,
-    seed: Annotated[
-        int | None, typer.Option(help="Seed of the sensors' errors.")
-    ] = None,
+    scenario_file: options.ScenarioFile = None,
+    scenario_name: options.ScenarioName = "Default",
+    scenario_text: options.ScenarioText = "",
+    sensors_per_ring: options.SensorsPerRing = None,
+    human_motion: options.HumanMotion = None,
+    seed: options.Seed = None,
     drift: Annotated[
         float,
         typer.Option(help="By how much the devices' clocks are fast, ppm."),
