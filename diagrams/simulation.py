@@ -6,12 +6,13 @@ import dataclasses as dc
 import gc
 import time
 
-from pydrake.systems.analysis import Simulator
-from pydrake.systems.framework import Context
+from pydrake.systems.analysis import ResetIntegratorFromFlags, Simulator
+from pydrake.systems.framework import Context, Diagram, PortDataType
 
 from tofssm_drake.diagrams.scenario import Scenario
 from tofssm_drake.diagrams.workcell import Workcell
 from tofssm_drake.evaluation.samples import Samples
+from tofssm_drake.leaf_system import LeafSystem
 
 _TICKS_PER_STEP = 25
 
@@ -55,9 +56,14 @@ class Run:
         self._simulator = Simulator(
             workcell.diagram, workcell.make_context(scenario.random_seed)
         )
+        # There is no continuous state: the integrator that does least.
+        ResetIntegratorFromFlags(
+            self._simulator, "explicit_euler", scenario.control_period
+        )
         self._simulator.set_target_realtime_rate(real_time_rate)
         self._simulator.Initialize()
         self._context = self._simulator.get_context()
+        self._held = find_binding_objects(workcell.diagram, self._context)
         station = workcell.station.diagram
         self._station_context = station.GetMyContextFromRoot(self._context)
         self._task_done = station.GetOutputPort("task_done")
@@ -100,6 +106,35 @@ class Run:
     def make_samples(self) -> Samples:
         """Returns what was recorded so far."""
         return self._workcell.recorder.make_samples(self._context)
+
+
+def find_binding_objects(diagram: Diagram, root_context: Context) -> list:
+    """Returns Python's objects of the Contexts and messages in a Diagram.
+
+    Whoever holds them makes the systems that are written in Python 5 %
+    faster: the binding then finds the object of what it hands over and need
+    not make and drop one for each call.
+
+    Args:
+        diagram: Its systems are looked at, at any depth.
+        root_context: Of the outermost Diagram; must outlive what is returned.
+    """
+    found = []
+    for system in diagram.GetSystems():
+        context = system.GetMyContextFromRoot(root_context)
+        found.append(context)
+        if isinstance(system, Diagram):
+            found += find_binding_objects(system, root_context)
+        elif isinstance(system, LeafSystem):
+            ports = map(
+                system.get_output_port, range(system.num_output_ports())
+            )
+            found += [
+                port.EvalAbstract(context)
+                for port in ports
+                if port.get_data_type() == PortDataType.kAbstractValued
+            ]
+    return found
 
 
 @contextlib.contextmanager

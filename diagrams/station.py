@@ -77,7 +77,6 @@ def make_station(scenario: Scenario) -> Station:
     robot, _ = make_sim_ur10(
         config=scenario.robot,
         initial_position=program.path.calc_motion(0.0)[0],
-        sensors_per_ring=scenario.sensors_per_ring,
     )
     builder.AddSystem(robot)
     builder.Connect(

@@ -391,7 +391,11 @@ class RayCaster:
         elif not (which.flags.c_contiguous and which.flags.writeable):
             # Another layout would be another kernel to compile.
             which = which.copy()
-        status, distance, index = ray_kernels.cast_bundles(
+        shape = bundles.num_bundles, bundles._fan.shape[1]
+        # As results of compiled code they would cost microseconds.
+        distance = np.empty(shape)
+        index = np.empty(shape, dtype=np.int64)
+        status = ray_kernels.cast_bundles(
             X_WF,
             self._scene,
             bundles._packed,
@@ -399,6 +403,8 @@ class RayCaster:
             which,
             bundles._fan,
             bundles._cones,
+            distance,
+            index,
         )
         if status != ray_kernels.OK:
             raise ValueError("X_WF: a pose is not finite or no rotation")

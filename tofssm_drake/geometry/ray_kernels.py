@@ -324,7 +324,9 @@ def _sort(order, key, n):
 
 
 @njit(cache=True, error_model="numpy")
-def cast_bundles(X_WF, scene, bundles, active, which, fan, cones):
+def cast_bundles(
+    X_WF, scene, bundles, active, which, fan, cones, distance, index
+):
     """Casts m bundles of k rays each; see RayCaster.cast_bundles.
 
     Args:
@@ -338,17 +340,17 @@ def cast_bundles(X_WF, scene, bundles, active, which, fan, cones):
         cones: Axis, cosine and sine of half the opening angle of a cone
             around all rays, then of one around each group of rays, with the
             first ray and the one behind the last, shape (1 + groups, 7).
+        distance: Written, shape (m, k).
+        index: Written, int64, shape (m, k).
 
     Returns:
-        (status, distance (m, k), index (m, k)).
+        Status.
     """
     shapes, balls, planes, nodes, triangles = scene
     m, n, k = bundles.shape[0], shapes.shape[0], fan.shape[1]
     groups = cones.shape[0] - 1
-    distance = np.empty((m, k))
-    index = np.empty((m, k), dtype=np.int64)
     if not are_poses(X_WF):
-        return BAD_POSE, distance, index
+        return BAD_POSE
     posed = _pose_balls(X_WF, balls)
     num_balls = posed.shape[1]
     flags, words = _make_mask(num_balls)
@@ -629,7 +631,7 @@ def cast_bundles(X_WF, scene, bundles, active, which, fan, cones):
             place = int(fan[3, j])
             index[i, place] = hit[j]
             distance[i, place] = best[j] if hit[j] >= 0 else np.inf
-    return OK, distance, index
+    return OK
 
 
 @njit(cache=True, error_model="numpy")

@@ -259,21 +259,27 @@ def begin_tick(state, time, period, duration, speed_fraction):
 
 
 @njit(cache=True)
-def calc_motion_commanded(start, coefficients, state, time, period):
-    """Returns q, qd, qdd (3 n,) of the motion at speed fraction ds/dt.
+def calc_motion_commanded(start, coefficients, state, time, period, motion):
+    """Calculates q, qd, qdd of the motion at speed fraction ds/dt.
 
     q = q(s), qd = q' ds/dt, qdd = q'' (ds/dt)^2 + q' d2s/dt2.
+
+    Args:
+        start: As in `evaluate_pieces`, like the next.
+        coefficients: Of the path.
+        state: As in `advance_path_time`, like the next two.
+        time: Now, s.
+        period: Of the tick, s.
+        motion: Written: q, qd, qdd, (3 n,).
     """
     n = coefficients.shape[2]
     s, rate, change = advance_path_time(state, time, period)
     path = np.empty((3, n))
     evaluate_pieces(start, coefficients, s, path)
-    motion = np.empty(3 * n)
     for j in range(n):
         motion[j] = path[0, j]
         motion[n + j] = path[1, j] * rate
         motion[2 * n + j] = path[2, j] * rate * rate + path[1, j] * change
-    return motion
 
 
 @dc.dataclass(frozen=True, eq=False, kw_only=True)
@@ -551,14 +557,13 @@ class PickAndPlaceProgram(LeafSystem):
         return float(context.get_discrete_state(self._progress).value()[0])
 
     def _calc_motion(self, context: Context, output: BasicVector) -> None:
-        output.SetFromVector(
-            calc_motion_commanded(
-                self._path.start,
-                self._path.coefficients,
-                context.get_discrete_state(self._progress).value(),
-                context.get_time(),
-                self._period,
-            )
+        calc_motion_commanded(
+            self._path.start,
+            self._path.coefficients,
+            context.get_discrete_state(self._progress).value(),
+            context.get_time(),
+            self._period,
+            output.get_mutable_value(),
         )
 
     def _calc_part(

@@ -113,7 +113,6 @@ def make_sim_ur10(
     *,
     config: SimUr10Config,
     initial_position: np.ndarray,
-    sensors_per_ring: int = 8,
 ) -> tuple[Diagram, MultibodyPlant]:
     """Makes the simulated robot.
 
@@ -133,13 +132,12 @@ def make_sim_ur10(
     Joint vectors have six elements in UR's order: rad, rad/s, Nm.
     `motion_commanded` is [q, qd, qdd] (18). `torque_commanded` is what the
     motors get, within their limits. `body_poses` and
-    `body_spatial_velocities` have the body order of
-    `make_cell_plant(sensors_per_ring=...)`.
+    `body_spatial_velocities` are of the robot and its gripper alone, in the
+    body order of the plant that is returned.
 
     Args:
         config: Settings; checked.
         initial_position: Where the robot is at the start, at rest, rad, (6,).
-        sensors_per_ring: As of the cell's plant, so that body indices agree.
 
     Returns:
         The Diagram and the plant in it.
@@ -149,7 +147,7 @@ def make_sim_ur10(
     plant = builder.AddNamedSystem(
         "plant",
         make_cell_plant(
-            sensors_per_ring=sensors_per_ring, time_step=config.time_step
+            sensors_per_ring=0, cell=False, time_step=config.time_step
         ),
     )
     plant.SetDefaultPositions(initial_position)

@@ -12,7 +12,10 @@ import dataclasses as dc
 from numba import njit
 import numpy as np
 from pydrake.geometry import SceneGraph
-from pydrake.multibody.plant import MultibodyPlant
+from pydrake.multibody.plant import (
+    DiscreteContactApproximation,
+    MultibodyPlant,
+)
 
 from tofssm_drake.errors import UserError
 import tofssm_drake.models as models
@@ -95,6 +98,10 @@ def make_cell_plant(
         # Outputs show the state itself: a quarter faster, and nothing here
         # reads what would be sampled (contact results).
         plant.SetUseSampledOutputPorts(False)
+        # Without contact all approximations step alike; this one soonest.
+        plant.set_discrete_contact_approximation(
+            DiscreteContactApproximation.kTamsi
+        )
     plant.Finalize()
     if sensors_per_ring and scene_graph is not None:
         add_ring_looks(plant, scene_graph)

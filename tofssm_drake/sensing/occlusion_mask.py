@@ -381,7 +381,7 @@ def _begin(samples, table, n, time, limits, motion, reading, unsettled):
 
 
 @njit(cache=True)
-def _begin_look(samples, table, shift, rest, which):
+def _begin_look(samples, table, shift, rest, which, report):
     """Takes the sensors that sampled at one time out of the rest.
 
     Args:
@@ -390,10 +390,10 @@ def _begin_look(samples, table, shift, rest, which):
         shift: how much later than at the sample to look at the robot, s.
         rest: the sensors to choose from, (N,); the chosen ones are taken out.
         which: result, those that are chosen, (N,).
+        report: result, what the robot reported for their time, (15,).
 
     Returns:
-        What the robot reported for their time, and whether there is still a
-        rest.
+        Whether there is still a rest.
     """
     time = np.nan
     more = False
@@ -405,7 +405,8 @@ def _begin_look(samples, table, shift, rest, which):
             which[i] = samples[_SENSOR_TIME, i] == time
             rest[i] = not which[i]
             more = more or rest[i]
-    return interpolate_reports(table, time + shift), more
+    report[:] = interpolate_reports(table, time + shift)
+    return more
 
 
 @njit(cache=True)
@@ -468,10 +469,10 @@ def mask_scans(
         for i, (scan, was) in enumerate(zip(scans, before, strict=True))
     ]
     motion = np.empty((2, num_sensors, 6))
-    _report_motion(samples, table, n, motion)
     reading = np.empty(num_sensors, dtype=np.uint8)
     unsettled = np.empty(num_sensors, dtype=bool)
     which = np.empty(num_sensors, dtype=bool)
+    report = np.empty(_COLUMNS)
 
     limits = (
         config.tolerance,
@@ -487,8 +488,8 @@ def mask_scans(
         for shift in (0.0, -margin, margin) if margin > 0.0 else (0.0,):
             more = is_unsettled
             while more:
-                report, more = _begin_look(
-                    samples, table, shift, unsettled, which
+                more = _begin_look(
+                    samples, table, shift, unsettled, which, report
                 )
                 X_WF = twin.calc(
                     report[_POSITION],

@@ -211,8 +211,8 @@ def _calc_row(
     literal_sign,
     max_gap,
     max_faulted_sensors,
+    row,
 ):
-    row = np.empty(_COLUMNS)
     row[_SEQUENCE] = sequence
     row[_TIME] = time
     row[_SENSOR] = sensor
@@ -226,7 +226,7 @@ def _calc_row(
         row[_DIRECTION:_REALS] = np.nan
         row[_K_L] = saturate(speed, k_max)
         row[_K_O] = saturate(speed + V_hmax, k_max)
-        return row
+        return
 
     row[_DISTANCE] = radius + distance[sensor]
     k_l = 0.0
@@ -254,7 +254,6 @@ def _calc_row(
         k_o = k_l + V_hmax
     row[_K_L] = saturate(k_l, k_max)
     row[_K_O] = saturate(k_o, k_max)
-    return row
 
 
 def calc_link_row(
@@ -294,7 +293,8 @@ def calc_link_row(
     _, R_WL, v_WL = kinematics.calc(
         masked_scan.position[moment], masked_scan.velocity[moment]
     )
-    return _calc_row(
+    row = np.empty(_COLUMNS)
+    _calc_row(
         scan.sequence,
         sensor,
         time,
@@ -313,7 +313,9 @@ def calc_link_row(
         config.literal_sign,
         config.max_gap,
         config.max_faulted_sensors,
+        row,
     )
+    return row
 
 
 def make_separation(

@@ -282,12 +282,16 @@ class TofRings(LeafSystem):
             noise = self._noise.Eval(context).reshape(
                 self._noise_scans, -1, NOISE_DRAWS
             )[sequence % self._noise_scans]
-        distance, status = measure_packed(
+        distance = np.empty(len(ray_distance))
+        status = np.empty(len(ray_distance), dtype=np.uint8)
+        measure_packed(
             self._parameters,
             ray_distance,
             noise,
             self._errors.bias,
             self._errors.gain,
+            distance,
+            status,
         )
         time = context.get_time()
         sensor_time = np.full(len(distance), time)

@@ -252,11 +252,18 @@ def measure(
         Distance, m, (n,), and range status (ST API numbers), uint8, (n,).
         The distance is arbitrary unless the status is 0 or 3.
     """
-    ray_distance = np.ascontiguousarray(ray_distance, dtype=float)
-    noise = np.ascontiguousarray(noise, dtype=float)
-    return measure_packed(
-        pack_config(config), ray_distance, noise, errors.bias, errors.gain
+    distance = np.empty(len(ray_distance))
+    status = np.empty(len(ray_distance), dtype=np.uint8)
+    measure_packed(
+        pack_config(config),
+        np.ascontiguousarray(ray_distance, dtype=float),
+        np.ascontiguousarray(noise, dtype=float),
+        errors.bias,
+        errors.gain,
+        distance,
+        status,
     )
+    return distance, status
 
 
 @njit(cache=True)
@@ -336,8 +343,13 @@ def _calc_detection_probability(d, usable_range, range_falloff, mode_range):
 
 
 @njit(cache=True)
-def measure_packed(parameters, ray_distance, noise, bias, gain):
-    """Does what `measure` does, with settings from `pack_config`."""
+def measure_packed(
+    parameters, ray_distance, noise, bias, gain, distance, status
+):
+    """Does what `measure` does, with settings from `pack_config`.
+
+    `distance` and `status` are written; as results they would cost more.
+    """
     ideal = parameters[0] != 0.0
     usable_range = parameters[1]
     range_falloff = parameters[2]
@@ -356,10 +368,9 @@ def measure_packed(parameters, ray_distance, noise, bias, gain):
     resolution = parameters[15]
     is_mean = parameters[16] != 0.0
 
-    n = ray_distance.shape[0]
-    distance = np.zeros(n)
-    status = np.zeros(n, dtype=np.uint8)
-    for i in range(n):
+    for i in range(ray_distance.shape[0]):
+        distance[i] = 0.0
+        status[i] = STATUS_VALID
         if ideal:
             d, _ = _calc_target(ray_distance[i], False)
             if d <= usable_range:
@@ -409,4 +420,3 @@ def measure_packed(parameters, ray_distance, noise, bias, gain):
         if resolution > 0.0:
             measured = resolution * np.round(measured / resolution)
         distance[i] = min(max(measured, 0.0), SATURATED)
-    return distance, status
