@@ -51,7 +51,7 @@ class SimUr10Config:
 
 
 def make_inverse_dynamics_controller(
-    *, plant: MultibodyPlant, stiffness: float
+    *, plant: MultibodyPlant, stiffness: float, time_step: float = 0.0
 ) -> Diagram:
     """Makes a computed-torque controller without integral action.
 
@@ -64,14 +64,17 @@ def make_inverse_dynamics_controller(
         output_ports:
         - generalized_force
 
-    vdd = qdd_d + 2 w (qd_d - qd) + w^2 (q_d - q), tau = inverse dynamics of
-    vdd. Drake's InverseDynamicsController does the same and integrates the
+    vdd = qdd_d + 2 w (qd_s - qd) + w^2 (q_d - q), tau = inverse dynamics of
+    vdd, where qd_s = qd_d - h/2 qdd_d: the velocity of a plant in discrete
+    time is the one that took it here, (q(t) - q(t - h)) / h. With qd_d in its
+    place the robot would run ahead of its command. Drake's InverseDynamicsController does the same and integrates the
     error besides, in continuous state; without that state a simulation of a
     discrete plant needs no integrator at all.
 
     Args:
         plant: The robot alone, with what it carries.
         stiffness: Natural frequency w of the error, rad/s.
+        time_step: h of the plant that is controlled, s; 0 is continuous.
     """
     n = plant.num_positions()
     builder = DiagramBuilder()
@@ -79,7 +82,13 @@ def make_inverse_dynamics_controller(
     w = stiffness
     # Of [q_d, qd_d, qdd_d, q, qd].
     gain = np.hstack(
-        [w * w * one, 2 * w * one, one, -w * w * one, -2 * w * one]
+        [
+            w * w * one,
+            2 * w * one,
+            (1 - w * time_step) * one,
+            -w * w * one,
+            -2 * w * one,
+        ]
     )
     stack = builder.AddNamedSystem(
         "commanded_and_estimated", Multiplexer([3 * n, 2 * n])
@@ -154,7 +163,9 @@ def make_sim_ur10(
     model = make_cell_plant(sensors_per_ring=0, cell=False)
     controller = builder.AddSystem(
         make_inverse_dynamics_controller(
-            plant=model, stiffness=config.stiffness
+            plant=model,
+            stiffness=config.stiffness,
+            time_step=config.time_step,
         )
     )
     limit = plant.GetEffortUpperLimits()
