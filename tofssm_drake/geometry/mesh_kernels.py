@@ -6,8 +6,9 @@ their common edge with the same products, so no ray slips through between
 them. Meshes come as one pool of nodes and triangles (see `TriangleMesh`).
 """
 
-from numba import njit
 import numpy as np
+
+from tofssm_drake.kernels import njit
 
 STACK = 128
 """Entries of a traversal's stack; trees are less deep."""

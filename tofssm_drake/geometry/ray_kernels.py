@@ -15,7 +15,6 @@ by the box that each shape is in, and, for what is farther than what has been
 hit already, by the least distance at which that box can be met.
 """
 
-from numba import njit
 import numpy as np
 
 from tofssm_drake.geometry.mesh_kernels import (
@@ -42,6 +41,7 @@ from tofssm_drake.geometry.shape_kernels import (
     find_normal,
     is_in_primitive,
 )
+from tofssm_drake.kernels import njit
 
 CONVEX = 6
 """Kinds above those of shape_kernels. Data: first plane, number of planes."""

@@ -13,7 +13,6 @@ from pathlib import Path
 import tempfile
 from urllib.parse import unquote
 
-from numba import njit
 import numpy as np
 from pydrake.geometry import (
     AddRigidHydroelasticProperties,
@@ -27,6 +26,7 @@ from pydrake.geometry import (
 from pydrake.math import RigidTransform
 
 from tofssm_drake.errors import UserError
+from tofssm_drake.kernels import njit
 
 _LEAF_SIZE = 4
 _BINS = 16
