@@ -202,12 +202,10 @@ def make_bumpy_ball(triangles: int) -> tuple[Mesh, int]:
     turn = 2.0 * np.pi * np.arange(around) / around
     polar, turn = np.meshgrid(polar, turn, indexing="ij")
     radius = 0.4 * (1.0 + 0.1 * np.sin(7 * polar) * np.cos(9 * turn))
+    across = np.sin(polar)
+    across[-1] = 0.0  # Else it is open there.
     vertices = radius[:, :, None] * np.stack(
-        [
-            np.sin(polar) * np.cos(turn),
-            np.cos(polar),
-            np.sin(polar) * np.sin(turn),
-        ],
+        [across * np.cos(turn), np.cos(polar), across * np.sin(turn)],
         axis=-1,
     )
     a = np.arange(along * around).reshape(along, around)

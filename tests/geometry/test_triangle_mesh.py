@@ -463,6 +463,28 @@ class TestReadMesh(unittest.TestCase):
                     faces,
                 )  # fmt: skip
 
+    def test_gltf_with_a_mirrored_node(self):
+        """The mirror turns nothing inside out: a cube in a cube fills it,
+        unless its triangles run the other way."""
+        inside_out = CUBE_FACES[:, ::-1]
+        for mirror in (1.0, -1.0):
+            for inner, expected in ((CUBE_FACES, 0.0), (inside_out, 0.25)):
+                text, _ = make_gltf(
+                    [
+                        (CUBE_VERTICES, CUBE_FACES.ravel(), 4),
+                        (CUBE_VERTICES, inner.ravel(), 4),
+                    ],
+                    [
+                        {"mesh": 0, "children": [1]},
+                        {"mesh": 1, "scale": [0.5, 0.5, 0.5 * mirror]},
+                    ],
+                    None,
+                )
+                mesh = make_mesh(text, ".gltf")
+                n = [[1.0, 0, 0]]
+                hit = cast(mesh, [[0, 0.01, 0.02], [0.4, 0.01, 0.02]], n * 2)
+                np.testing.assert_allclose(hit, [expected, 0.0], atol=1e-15)
+
     def test_tetrahedra(self):
         points = "0 0 0  1 0 0  0 1 0  0 0 1  1 1 1"
         text = (
@@ -473,13 +495,15 @@ class TestReadMesh(unittest.TestCase):
         )
         mesh = mut.read_mesh(make_mesh(text, ".vtk", (2, 2, 2)), "it")
         self.assertEqual(len(mesh.triangles), 6)
-        self.assertTrue(mesh.is_closed)
+        self.assertEqual(mesh.solid_root, 0)
         self.assertEqual(mesh.triangles.max(), 2.0)
 
     def test_unreadable_meshes_are_named(self):
         good, _ = make_gltf([(self.vertices, [0, 1, 2], 4)], [{"mesh": 0}], "x")
         dots, _ = make_gltf([(self.vertices, [0, 1], 0)], [{"mesh": 0}], None)
         needs = json.dumps({"extensionsRequired": ["KHR_draco"]})
+        null = json.dumps(json.loads(dots) | {"buffers": None})
+        circle = json.loads(dots) | {"nodes": [{"children": [0]}]}
         for shape, message in (
             (Mesh("/nowhere/none.obj"), "none.obj' can not be read"),
             (Mesh("/nowhere/none.gltf"), "none.gltf' can not be read"),
@@ -490,6 +514,9 @@ class TestReadMesh(unittest.TestCase):
             (make_mesh(good, ".gltf"), "can not be read: 'x'"),
             (make_mesh(dots, ".gltf"), "no triangle"),
             (make_mesh(needs, ".gltf"), "needs the extensions KHR_draco"),
+            (make_mesh("[]", ".gltf"), "memory.*not as its format demands"),
+            (make_mesh(null, ".gltf"), "memory.*not as its format demands"),
+            (make_mesh(json.dumps(circle), ".gltf"), "no tree: two lead to 0"),
         ):
             with (
                 self.subTest(message=message),
@@ -537,17 +564,6 @@ class TestMakeTriangleMesh(unittest.TestCase):
         scale = np.repeat(0.5 ** np.arange(600), 3)[:, None]
         vertices = np.tile(np.eye(3), (600, 1)) * scale
         self.check_tree(vertices, np.arange(1800).reshape(-1, 3))
-
-    def test_closed(self):
-        self.assertTrue(mut.is_closed(CUBE_VERTICES, CUBE_FACES))
-        self.assertFalse(mut.is_closed(CUBE_VERTICES, CUBE_FACES[1:]))
-        # Every face with vertices of its own, as for hard edges.
-        apart = CUBE_VERTICES[CUBE_FACES].reshape(-1, 3)
-        self.assertTrue(mut.is_closed(apart, np.arange(36).reshape(-1, 3)))
-        turned = CUBE_FACES.copy()
-        turned[3] = turned[3, ::-1]
-        self.assertFalse(mut.is_closed(CUBE_VERTICES, turned))
-        self.assertFalse(mut.is_closed(np.eye(3), np.array([[0, 1, 1]])))
 
     def test_wrong_arguments(self):
         with self.assertRaisesRegex(ValueError, "no triangle"):
