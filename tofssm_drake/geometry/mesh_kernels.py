@@ -136,7 +136,7 @@ def cast_mesh(nodes, triangles, root, p, dx, dy, dz, limit, stack):
 
 
 @njit(cache=True, error_model="numpy")
-def _count_turns(nodes, triangles, root, p, dx, dy, dz):
+def _count_turns(nodes, triangles, root, p, dx, dy, dz, stack):
     """Returns how many times a closed mesh encloses a point.
 
     Counts the surface's crossings along a ray, out less in.
@@ -144,12 +144,11 @@ def _count_turns(nodes, triangles, root, p, dx, dy, dz):
     ix, iy, iz = _invert(dx), _invert(dy), _invert(dz)
     kx, ky, kz, sx, sy, sz = _shear(dx, dy, dz)
     turns = 0
-    stack = np.empty(STACK, dtype=np.int64)
-    stack[0] = root
+    stack[0, 0] = root
     top = 1
     while top > 0:
         top -= 1
-        node = stack[top]
+        node = int(stack[0, top])
         if (
             _enter_box(nodes, node, p[0], p[1], p[2], ix, iy, iz, np.inf)
             == np.inf
@@ -164,23 +163,29 @@ def _count_turns(nodes, triangles, root, p, dx, dy, dz):
                 if side != 0 and t >= 0.0:
                     turns += side
             continue
-        stack[top], stack[top + 1] = first, first + 1
+        stack[0, top], stack[0, top + 1] = first, first + 1
         top += 2
     return turns
 
 
 @njit(cache=True, error_model="numpy")
-def _encloses(nodes, triangles, root, p):
+def _encloses(nodes, triangles, root, p, stack):
     """Returns whether a closed mesh encloses a point.
 
     A ray through an edge counts it twice, so odd directions are taken, and
     what two of three say.
     """
-    first = _count_turns(nodes, triangles, root, p, 0.4836, 0.3271, 0.8118)
-    second = _count_turns(nodes, triangles, root, p, -0.6123, 0.7481, 0.2559)
+    first = _count_turns(
+        nodes, triangles, root, p, 0.4836, 0.3271, 0.8118, stack
+    )
+    second = _count_turns(
+        nodes, triangles, root, p, -0.6123, 0.7481, 0.2559, stack
+    )
     if (first != 0) == (second != 0):
         return first != 0
-    third = _count_turns(nodes, triangles, root, p, 0.2087, -0.5312, -0.8211)
+    third = _count_turns(
+        nodes, triangles, root, p, 0.2087, -0.5312, -0.8211, stack
+    )
     return third != 0
 
 
@@ -240,14 +245,13 @@ def _is_near_triangle(triangles, i, p, within):
 
 
 @njit(cache=True, error_model="numpy")
-def _is_on_mesh(nodes, triangles, root, p, within):
+def _is_on_mesh(nodes, triangles, root, p, within, stack):
     """Returns whether a point is on a triangle, give or take a distance."""
-    stack = np.empty(STACK, dtype=np.int64)
-    stack[0] = root
+    stack[0, 0] = root
     top = 1
     while top > 0:
         top -= 1
-        node = stack[top]
+        node = int(stack[0, top])
         if (
             p[0] < nodes[node, 0] - within
             or p[1] < nodes[node, 1] - within
@@ -263,13 +267,13 @@ def _is_on_mesh(nodes, triangles, root, p, within):
                 if _is_near_triangle(triangles, i, p, within):
                     return True
             continue
-        stack[top], stack[top + 1] = first, first + 1
+        stack[0, top], stack[0, top + 1] = first, first + 1
         top += 2
     return False
 
 
 @njit(cache=True, error_model="numpy")
-def is_in_mesh(nodes, triangles, root, solid, p, far):
+def is_in_mesh(nodes, triangles, root, solid, p, far, stack):
     """Returns whether a point is inside a mesh or on its surface.
 
     On the surface is what is nearer than 1e-14 of the largest coordinate:
@@ -283,17 +287,18 @@ def is_in_mesh(nodes, triangles, root, solid, p, far):
         solid: The root node of what bounds a volume, -1 if nothing does.
         p: The point in G, shape (3,).
         far: Its largest coordinate in the world.
+        stack: Scratch space, shape (2, STACK).
     """
     for j in range(6):
         far = max(far, abs(nodes[root, j]))
-    if _is_on_mesh(nodes, triangles, root, p, _ON * far):
+    if _is_on_mesh(nodes, triangles, root, p, _ON * far, stack):
         return True
     if solid < 0:
         return False
     for j in range(3):
         if p[j] < nodes[solid, j] or p[j] > nodes[solid, 3 + j]:
             return False
-    return _encloses(nodes, triangles, solid, p)
+    return _encloses(nodes, triangles, solid, p, stack)
 
 
 @njit(cache=True, error_model="numpy")

@@ -8,7 +8,7 @@ bounds nothing.
 
 import numpy as np
 
-from tofssm_drake.geometry.mesh_kernels import is_in_mesh
+from tofssm_drake.geometry.mesh_kernels import STACK, is_in_mesh
 from tofssm_drake.geometry.triangle_tree import make_triangle_tree
 from tofssm_drake.kernels import njit
 
@@ -200,7 +200,8 @@ def _find_inverted_parts(vertices, faces, part):
 @njit(cache=True)
 def _are_in(triangles, nodes, points):
     """Returns whether all points are inside a closed mesh or on it."""
+    stack = np.empty((2, STACK))
     for i in range(len(points)):
-        if not is_in_mesh(nodes, triangles, 0, 0, points[i], 0.0):
+        if not is_in_mesh(nodes, triangles, 0, 0, points[i], 0.0, stack):
             return False
     return True

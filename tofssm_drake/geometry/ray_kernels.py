@@ -474,7 +474,13 @@ def cast_bundles(
                                 is_inside_convex(planes, part, parts, p_G)
                                 if kind == CONVEX
                                 else is_in_mesh(
-                                    nodes, triangles, part, parts, p_G, far
+                                    nodes,
+                                    triangles,
+                                    part,
+                                    parts,
+                                    p_G,
+                                    far,
+                                    stack,
                                 )
                             )
                         if inside:
@@ -805,7 +811,7 @@ def cast_rays(X_WF, scene, active, p_WR, n_WR, reach):
                     else:
                         p[0], p[1], p[2] = px, py, pz
                         if may_be_inside and is_in_mesh(
-                            nodes, triangles, part, parts, p, far
+                            nodes, triangles, part, parts, p, far, stack
                         ):
                             t = 0.0
                         else:
