@@ -372,7 +372,7 @@ class TestReadMesh(unittest.TestCase):
         self.vertices = self.vertices.astype(np.float32).astype(float)
 
     def check_same(self, mesh, vertices, faces):
-        actual = mut.read_mesh(mesh, "it").triangles
+        actual = mut.read_mesh(mesh, "it").surface.triangles
         expected = np.asarray(vertices)[faces].reshape(-1, 9)
         self.assertEqual(len(actual), len(expected))
         sorted_actual = actual[np.lexsort(actual.T)]
@@ -386,7 +386,9 @@ class TestReadMesh(unittest.TestCase):
             path.write_text(text)
             file = mut.read_mesh(Mesh(path, np.array([1.0, 2, 3])), "it")
         memory = mut.read_mesh(make_mesh(text, scale=(1, 2, 3)), "it")
-        np.testing.assert_array_equal(file.triangles, memory.triangles)
+        np.testing.assert_array_equal(
+            file.surface.triangles, memory.surface.triangles
+        )
         self.check_same(make_mesh(text), self.vertices, self.faces)
 
     def test_gltf_is_turned_and_scaled_as_drake_does(self):
@@ -407,7 +409,7 @@ class TestReadMesh(unittest.TestCase):
             [(self.vertices, self.faces.ravel(), 4)], nodes, None
         )
         shape = make_mesh(text, ".gltf", scale=(1, 2, 3))
-        triangles = mut.read_mesh(shape, "it").triangles
+        triangles = mut.read_mesh(shape, "it").surface.triangles
         self.assertEqual(len(triangles), 2 * len(self.faces))
         hull = shape.GetConvexHull()
         own = triangles.reshape(-1, 3)
@@ -494,9 +496,9 @@ class TestReadMesh(unittest.TestCase):
             "CELLS 2 10\n4 0 1 2 3\n4 1 2 3 4\nCELL_TYPES 2\n10\n10\n"
         )
         mesh = mut.read_mesh(make_mesh(text, ".vtk", (2, 2, 2)), "it")
-        self.assertEqual(len(mesh.triangles), 6)
-        self.assertEqual(mesh.solid_root, 0)
-        self.assertEqual(mesh.triangles.max(), 2.0)
+        self.assertEqual(len(mesh.surface.triangles), 6)
+        self.assertIs(mesh.solid, mesh.surface)
+        self.assertEqual(mesh.surface.triangles.max(), 2.0)
 
     def test_unreadable_meshes_are_named(self):
         good, _ = make_gltf([(self.vertices, [0, 1, 2], 4)], [{"mesh": 0}], "x")
@@ -529,7 +531,7 @@ class TestReadMesh(unittest.TestCase):
 
 class TestMakeTriangleMesh(unittest.TestCase):
     def check_tree(self, vertices, faces):
-        dut = mut.make_triangle_mesh(vertices, faces)
+        dut = mut.make_triangle_mesh(vertices, faces).surface
         seen = np.zeros(len(faces), dtype=int)
         corners = dut.triangles.reshape(-1, 3, 3)
         stack = [(0, 0)]

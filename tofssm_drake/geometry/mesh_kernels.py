@@ -3,7 +3,7 @@
 The test of ray and triangle is the watertight one of Woop, Benthin and Wald
 (Journal of Computer Graphics Techniques 2(1), 2013): neighbours decide about
 their common edge with the same products, so no ray slips through between
-them. Meshes come as one pool of nodes and triangles (see `TriangleMesh`).
+them. Meshes come as one pool of nodes and triangles (see `TriangleTree`).
 """
 
 import numpy as np
@@ -85,7 +85,7 @@ def cast_mesh(nodes, triangles, root, p, dx, dy, dz, limit, stack):
     """Returns (distance, triangle) of the first hit before limit.
 
     Args:
-        nodes: See TriangleMesh, shape (., 8).
+        nodes: See TriangleTree, shape (., 8).
         triangles: Corners, shape (n, 9).
         root: The mesh's root node.
         p: Origin of the ray in G, shape (3,).
@@ -281,7 +281,7 @@ def is_in_mesh(nodes, triangles, root, solid, p, far, stack):
     surface.
 
     Args:
-        nodes: See TriangleMesh, shape (., 8).
+        nodes: See TriangleTree, shape (., 8).
         triangles: Corners, shape (n, 9).
         root: The mesh's root node.
         solid: The root node of what bounds a volume, -1 if nothing does.

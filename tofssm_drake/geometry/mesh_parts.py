@@ -191,14 +191,15 @@ def _find_inverted_parts(vertices, faces, part):
                 trees[i] = make_triangle_tree(
                     vertices, faces[part == numbers[i]]
                 )
-            if _are_in(*trees[i], vertices[places[j]]):
+            tree = trees[i]
+            if _are_in(tree.nodes, tree.triangles, vertices[places[j]]):
                 inverted[number] = inverted[numbers[i]]
                 break
     return inverted
 
 
 @njit(cache=True)
-def _are_in(triangles, nodes, points):
+def _are_in(nodes, triangles, points):
     """Returns whether all points are inside a closed mesh or on it."""
     stack = np.empty((2, STACK))
     for i in range(len(points)):

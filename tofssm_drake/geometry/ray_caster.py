@@ -32,6 +32,7 @@ from tofssm_drake.errors import UserError
 from tofssm_drake.geometry import ray_kernels, shape_kernels
 from tofssm_drake.geometry.ball_tree import make_ball_tree
 from tofssm_drake.geometry.triangle_mesh import describe_mesh_source, read_mesh
+from tofssm_drake.geometry.triangle_tree import TriangleTree
 
 _UNIT_TOLERANCE = 1e-6
 # Rays that are checked together against bounding spheres, at most.
@@ -854,21 +855,30 @@ class _Pool:
 
     def _add_mesh(self, shape: Mesh, name: str):
         mesh = read_mesh(shape, name)
+        root = solid = self._add_tree(mesh.surface)
+        if mesh.solid is None:
+            solid = -1
+        elif mesh.solid is not mesh.surface:
+            solid = self._add_tree(mesh.solid)
+        corners = mesh.surface.triangles.reshape(-1, 3)
+        low, high, radius = _calc_bounds(corners)
+        # A ray that starts on the surface, but for rounding, is in the box.
+        margin = 1e-9 * radius
+        data = root, solid
+        return ray_kernels.MESH, data, low - margin, high + margin, radius
+
+    def _add_tree(self, tree: TriangleTree) -> int:
+        """Returns the row of its root."""
         root = self._num_nodes
-        nodes = mesh.nodes.copy()
+        nodes = tree.nodes.copy()
         is_leaf = nodes[:, 7] > 0
         nodes[is_leaf, 6] += self._num_triangles
         nodes[~is_leaf, 6] += root
         self._nodes.append(nodes)
-        self._triangles.append(mesh.triangles)
+        self._triangles.append(tree.triangles)
         self._num_nodes += len(nodes)
-        self._num_triangles += len(mesh.triangles)
-        solid = mesh.solid_root
-        data = root, solid if solid < 0 else root + solid
-        low, high, radius = _calc_bounds(mesh.triangles.reshape(-1, 3))
-        # A ray that starts on the surface, but for rounding, is in the box.
-        margin = 1e-9 * radius
-        return ray_kernels.MESH, data, low - margin, high + margin, radius
+        self._num_triangles += len(tree.triangles)
+        return root
 
     def _add_convex(self, shape: Convex, name: str):
         try:

@@ -7,8 +7,8 @@ the way into compiled code; whole numbers are therefore kept as floats, too:
   shapes     (n, 25)  one row for each shape, see the columns below
   balls      (., 7)   bounding balls of shapes and of groups of them, see below
   planes     (., 4)   (n, h) of all polytopes: the points with n.x <= h
-  nodes      (., 8)   of all meshes, see TriangleMesh
-  triangles  (., 9)   of all meshes, see TriangleMesh
+  nodes      (., 8)   of all meshes, see TriangleTree
+  triangles  (., 9)   of all meshes, see TriangleTree
 
 What a bundle or ray can not see is ruled out in three steps: by the balls,
 by the box that each shape is in, and, for what is farther than what has been

@@ -28,7 +28,7 @@ from pydrake.math import RigidTransform
 from tofssm_drake.errors import UserError
 from tofssm_drake.geometry.mesh_parts import orient_faces
 from tofssm_drake.geometry.triangle_tree import (
-    join_triangle_trees,
+    TriangleTree,
     make_triangle_tree,
 )
 
@@ -47,21 +47,12 @@ _TRIANGLES, _TRIANGLE_STRIP, _TRIANGLE_FAN = 4, 5, 6
 
 @dc.dataclass(frozen=True, eq=False, kw_only=True)
 class TriangleMesh:
-    """Triangles, sorted into a tree of axis-aligned boxes.
+    """What rays see of a Mesh, and what they can start inside of."""
 
-    A row of `nodes` is a box and two whole numbers (first, count). With a
-    count it is a leaf and has so many triangles from the first on, else it
-    has the nodes first and first + 1 as children. Node 0 is the root.
-    """
-
-    triangles: np.ndarray
-    """The three corners of each triangle in G, shape (n, 9), m."""
-    nodes: np.ndarray
-    """Lower and upper corner of the box, m, first, count: shape (., 8). The
-    boxes are a trace larger than what they hold."""
-    solid_root: int
-    """The root of the triangles that bound volumes, so that a point can be
-    inside; -1 if none do. Node 0 if all do, else a second tree."""
+    surface: TriangleTree
+    """All triangles."""
+    solid: TriangleTree | None
+    """Those that bound volumes; the same tree if all do, None if none do."""
 
 
 def make_triangle_mesh(vertices: np.ndarray, faces: np.ndarray):
@@ -81,13 +72,11 @@ def make_triangle_mesh(vertices: np.ndarray, faces: np.ndarray):
     if not np.isfinite(vertices[faces]).all():
         raise ValueError("it has a vertex that is not finite")
     faces, is_solid = orient_faces(vertices, faces)
-    tree = make_triangle_tree(vertices, faces)
-    solid_root = 0 if is_solid.all() else -1
-    if is_solid.any() and not is_solid.all():
-        solid_root = len(tree[1])
+    surface = make_triangle_tree(vertices, faces)
+    solid = surface if is_solid.any() else None
+    if solid and not is_solid.all():
         solid = make_triangle_tree(vertices, faces[is_solid])
-        tree = join_triangle_trees(tree, solid)
-    return TriangleMesh(triangles=tree[0], nodes=tree[1], solid_root=solid_root)
+    return TriangleMesh(surface=surface, solid=solid)
 
 
 def describe_mesh_source(mesh) -> str:

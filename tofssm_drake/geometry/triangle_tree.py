@@ -1,5 +1,7 @@
 """A bounding volume hierarchy of triangles."""
 
+import dataclasses as dc
+
 import numpy as np
 
 from tofssm_drake.kernels import njit
@@ -10,17 +12,28 @@ _BINS = 16
 _DEEP = 64
 
 
-def make_triangle_tree(
-    vertices: np.ndarray, faces: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Sorts triangles into a tree of axis-aligned boxes.
+@dc.dataclass(frozen=True, eq=False, kw_only=True)
+class TriangleTree:
+    """Triangles, sorted into a tree of axis-aligned boxes.
+
+    A row of `nodes` is a box and two whole numbers (first, count). With a
+    count it is a leaf and has so many triangles from the first on, else it
+    has the nodes first and first + 1 as children. Node 0 is the root.
+    """
+
+    triangles: np.ndarray
+    """The three corners of each triangle in G, shape (n, 9), m."""
+    nodes: np.ndarray
+    """Lower and upper corner of the box, m, first, count: shape (., 8). The
+    boxes are a trace larger than what they hold."""
+
+
+def make_triangle_tree(vertices: np.ndarray, faces: np.ndarray) -> TriangleTree:
+    """Makes a TriangleTree.
 
     Args:
-        vertices: Positions, shape (v, 3), m.
-        faces: Indices of each triangle's corners, shape (n, 3).
-
-    Returns:
-        (triangles, nodes): see TriangleMesh.
+        vertices: Positions in G, shape (v, 3), m.
+        faces: Indices of each triangle's corners, shape (n, 3), n > 0.
     """
     corners = vertices[faces]
     order, bounds, links = _build_tree(
@@ -29,19 +42,10 @@ def make_triangle_tree(
     # A ray along a box's face must not be lost to rounding.
     margin = 1e-12 * np.abs(bounds[0]).max()
     bounds += margin * np.array([-1.0, -1.0, -1.0, 1.0, 1.0, 1.0])
-    triangles = np.ascontiguousarray(corners[order].reshape(-1, 9))
-    return triangles, np.hstack([bounds, links])
-
-
-def join_triangle_trees(
-    first: tuple[np.ndarray, np.ndarray], second: tuple[np.ndarray, np.ndarray]
-) -> tuple[np.ndarray, np.ndarray]:
-    """Returns both trees in one pair of arrays, the second one at the end."""
-    nodes = second[1].copy()
-    is_leaf = nodes[:, 7] > 0
-    nodes[is_leaf, 6] += len(first[0])
-    nodes[~is_leaf, 6] += len(first[1])
-    return np.vstack([first[0], second[0]]), np.vstack([first[1], nodes])
+    return TriangleTree(
+        triangles=np.ascontiguousarray(corners[order].reshape(-1, 9)),
+        nodes=np.hstack([bounds, links]),
+    )
 
 
 @njit(cache=True, error_model="numpy")
