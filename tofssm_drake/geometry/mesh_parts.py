@@ -177,7 +177,12 @@ def _find_inverted_parts(vertices, faces, part):
         return inverted
     # Some are: each within another one keeps how it runs beside that.
     numbers = numbers[np.argsort(-np.abs(volume[numbers]), kind="stable")]
-    places = [np.unique(faces[part == k]) for k in numbers]
+    order = np.argsort(part, kind="stable")
+    starts, ends = np.searchsorted(part[order], [numbers, numbers + 1])
+    parts = [
+        faces[order[start:end]] for start, end in zip(starts, ends, strict=True)
+    ]
+    places = [np.unique(part_faces) for part_faces in parts]
     low = np.array([vertices[i].min(axis=0) for i in places])
     high = np.array([vertices[i].max(axis=0) for i in places])
     trees = {}
@@ -188,9 +193,7 @@ def _find_inverted_parts(vertices, faces, part):
         # The smallest one around it comes last.
         for i in np.flatnonzero(fits)[::-1]:
             if i not in trees:
-                trees[i] = make_triangle_tree(
-                    vertices, faces[part == numbers[i]]
-                )
+                trees[i] = make_triangle_tree(vertices, parts[i])
             tree = trees[i]
             if _are_in(tree.nodes, tree.triangles, vertices[places[j]]):
                 inverted[number] = inverted[numbers[i]]
