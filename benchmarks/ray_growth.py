@@ -49,7 +49,7 @@ class Curve:
 
 def measure_rays() -> list[Curve]:
     """More sensors, more rays in each, and rays of their own origin."""
-    caster, X_WF = _make_clutter(64, moving=True)
+    caster, X_WF = _make_clutter(64, frames=64)
     sizes = [150, 300, 600, 1200, 2500, 5000, 10000, 20000]
     more_sensors, finer_fans, single = [], [], []
     for n in sizes:
@@ -75,10 +75,14 @@ def measure_shapes() -> list[Curve]:
     """600 rays in a room of 8 m with more and more shapes in it."""
     sizes = [10, 20, 50, 100, 200, 500, 1000, 2000]
     calls = {}
-    for name, moving in (("fixed in the world", False), ("all moving", True)):
+    for name, frames in (
+        ("fixed in the world", 0),
+        ("on ten moving frames", 10),
+        ("each on its own moving frame", max(sizes)),
+    ):
         calls[name] = sizes, []
         for n in sizes:
-            caster, X_WF = _make_clutter(n, moving=moving)
+            caster, X_WF = _make_clutter(n, frames=min(frames, n))
             bundles = _make_bundles(caster, 24, RAYS)
             calls[name][1].append((caster.cast_bundles, bundles, X_WF))
     return _measure(calls)
@@ -146,27 +150,38 @@ def _time(function: Callable, args, count: int) -> float:
     return (time.thread_time() - start) / count
 
 
-def _make_clutter(n: int, *, moving: bool):
-    """Returns (caster, X_WF) of n shapes strewn over a room."""
+def _make_clutter(n: int, *, frames: int):
+    """Returns (caster, X_WF) of n shapes strewn over a room.
+
+    They are on so many moving frames in turn, within half a metre from its
+    origin; 0: fixed in the world.
+    """
     rng = np.random.default_rng(0)
     scene_graph = SceneGraph()
     source = scene_graph.RegisterSource("clutter")
     poses = FramePoseVector()
+    frame_ids = []
     for i in range(n):
-        X_WG = RigidTransform(
+        X = RigidTransform(
             RollPitchYaw(rng.uniform(-np.pi, np.pi, 3)),
             rng.uniform(-1.0, 1.0, 3) * [4.0, 4.0, 1.5],
         )
         shape = (Sphere(0.08), Capsule(0.06, 0.3), Box(0.2, 0.15, 0.1))[i % 3]
-        if moving:
-            frame = scene_graph.RegisterFrame(source, GeometryFrame(f"{i}"))
-            poses.set_value(frame, X_WG)
-            instance = GeometryInstance(RigidTransform(), shape, f"{i}")
-            instance.set_perception_properties(PerceptionProperties())
-            scene_graph.RegisterGeometry(source, frame, instance)
+        if i < frames:
+            frame_ids.append(
+                scene_graph.RegisterFrame(source, GeometryFrame(f"{i}"))
+            )
+            poses.set_value(frame_ids[i], X)
+            X = RigidTransform()
+        elif frames:
+            X.set_translation(X.translation() * [0.125, 0.125, 0.3])
+        instance = GeometryInstance(X, shape, f"{i}")
+        instance.set_perception_properties(PerceptionProperties())
+        if frames:
+            scene_graph.RegisterGeometry(
+                source, frame_ids[i % frames], instance
+            )
         else:
-            instance = GeometryInstance(X_WG, shape, f"{i}")
-            instance.set_perception_properties(PerceptionProperties())
             scene_graph.RegisterAnchoredGeometry(source, instance)
     caster = RayCaster(scene_graph.model_inspector())
     # Known before the poses are asked for: the sensors' frame.
@@ -202,12 +217,10 @@ def make_bumpy_ball(triangles: int) -> tuple[Mesh, int]:
     turn = 2.0 * np.pi * np.arange(around) / around
     polar, turn = np.meshgrid(polar, turn, indexing="ij")
     radius = 0.4 * (1.0 + 0.1 * np.sin(7 * polar) * np.cos(9 * turn))
+    across = np.sin(polar)
+    across[-1] = 0.0  # Else it is open there.
     vertices = radius[:, :, None] * np.stack(
-        [
-            np.sin(polar) * np.cos(turn),
-            np.cos(polar),
-            np.sin(polar) * np.sin(turn),
-        ],
+        [across * np.cos(turn), np.cos(polar), across * np.sin(turn)],
         axis=-1,
     )
     a = np.arange(along * around).reshape(along, around)

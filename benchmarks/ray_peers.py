@@ -29,7 +29,7 @@ def list_shapes(scene: Scene):
 
 def read_triangles(mesh: Mesh):
     """Returns (vertices, faces)."""
-    corners = read_mesh(mesh, "mesh").triangles.reshape(-1, 3)
+    corners = read_mesh(mesh, "mesh").surface.triangles.reshape(-1, 3)
     vertices, index = np.unique(corners, axis=0, return_inverse=True)
     return vertices, index.reshape(-1, 3)
 

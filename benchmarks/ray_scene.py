@@ -15,6 +15,7 @@ from pydrake.geometry import (
     FramePoseVector,
     InMemoryMesh,
     Mesh,
+    QueryObject,
     SceneGraph,
     Sphere,
 )
@@ -107,6 +108,9 @@ class Scene:
         others = self.caster.frame_ids[: -len(avatar.frame_ids)]
         assert self.caster.frame_ids == [*others, *avatar.frame_ids]
         self._num_others = len(others)
+        self._moving_frame_ids = [
+            f for f in self.caster.frame_ids if f != self.caster.world_frame_id
+        ]
         self._twin_poses = TwinPoses.from_plant(
             self.plant, layout=layout, frame_ids=others
         )
@@ -150,7 +154,7 @@ class Scene:
         inspector = self.scene_graph.model_inspector()
         shapes = map(inspector.GetShape, self.caster.geometry_ids)
         return sum(
-            len(read_mesh(shape, "mesh").triangles)
+            len(read_mesh(shape, "mesh").surface.triangles)
             for shape in shapes
             if isinstance(shape, Mesh)
         )
@@ -170,12 +174,17 @@ class Scene:
 
     def query_poses(self, i: int) -> np.ndarray:
         """Returns them from Drake."""
+        return self.caster.poses_from_query_object(self._move(i))
+
+    def ask_for_poses(self, i: int) -> list[RigidTransform]:
+        """Returns what Drake says of all frames that may move."""
+        return list(map(self._move(i).GetPoseInWorld, self._moving_frame_ids))
+
+    def _move(self, i: int) -> QueryObject:
         state = self.states[i]
         self.plant.SetPositions(self.plant_context, state.positions)
         self._person_port.GetMutableData().set_value(state.person_poses)
-        return self.caster.poses_from_query_object(
-            self._query_port.Eval(self.scene_context)
-        )
+        return self._query_port.Eval(self.scene_context)
 
 
 def _turn_into_meshes(scene_graph, avatar):

@@ -16,8 +16,16 @@ from pydrake.geometry import (
 )
 from pydrake.math import RigidTransform
 import ray_oracle as oracle
-from solids import CUBE_FACES, CUBE_QUADS, CUBE_VERTICES, make_mesh, write_obj
+from solids import (
+    CUBE_FACES,
+    CUBE_QUADS,
+    CUBE_VERTICES,
+    make_mesh,
+    make_torus,
+    write_obj,
+)
 
+from tofssm_drake.errors import UserError
 from tofssm_drake.geometry.ray_caster import RayCaster
 
 TINY = np.nextafter(0.0, 1.0)
@@ -232,6 +240,155 @@ class TestDegenerateRays(unittest.TestCase):
         np.testing.assert_array_equal(index, [0, 0, -1])
 
 
+class TestRaysFromTheSurfaceOfAMesh(unittest.TestCase):
+    """They start on it, so their distance is 0, wherever they look."""
+
+    def setUp(self):
+        self.rng = np.random.default_rng(8)
+        self.poses = (
+            RigidTransform(),
+            oracle.make_random_pose(self.rng),
+            RigidTransform(
+                oracle.make_random_pose(self.rng).rotation(), [90, -200, 50]
+            ),
+        )
+
+    def make_points(self, vertices, faces, count):
+        """Returns points on faces, edges and corners, and their normals."""
+        weights = self.rng.dirichlet([1, 1, 1], count)
+        weights[::3, 0] = 0.0
+        weights[::6] = [0.0, 0.0, 1.0]
+        weights /= weights.sum(axis=1, keepdims=True)
+        corners = vertices[faces[self.rng.integers(len(faces), size=count)]]
+        a, b, c = corners.transpose(1, 0, 2)
+        return np.einsum("ni,nij->nj", weights, corners), np.cross(b - a, c - a)
+
+    def make_directions(self, normals):
+        """Returns any directions, every fourth one within the surface."""
+        n = oracle.make_unit_vectors(self.rng, len(normals))
+        n[::4] = np.cross(normals, n)[::4]
+        return n / np.linalg.norm(n, axis=1, keepdims=True)
+
+    def cast(self, shape, X, p, n):
+        """Returns the distances of rays in G, cast alone and as bundles."""
+        scene = oracle.Scene()
+        frame_id = scene.add_frame(X)
+        scene.add(shape, None, frame_id)
+        dut = RayCaster(scene.inspector)
+        bundles = dut.make_bundles(
+            frame_id=dut.world_frame_id,
+            X_FS=[RigidTransform(X @ point) for point in p],
+            fan_S=n[:20] @ X.rotation().matrix().T,
+            max_range=np.inf,
+        )
+        X_WF = dut.poses_from_query_object(scene.query_object())
+        return (
+            dut.cast(X_WF, (X @ p.T).T, n @ X.rotation().matrix().T)[0],
+            dut.cast_bundles(bundles, X_WF)[0],
+        )
+
+    def check_zero(self, vertices, faces):
+        shape = make_mesh(write_obj(vertices, faces))
+        for X in self.poses:
+            p, normals = self.make_points(vertices, faces, 400)
+            for distance in self.cast(
+                shape, X, p, self.make_directions(normals)
+            ):
+                np.testing.assert_array_equal(distance, 0.0)
+                self.assertFalse(np.signbit(distance).any())
+
+    def test_closed_mesh(self):
+        self.check_zero(CUBE_VERTICES, CUBE_FACES)
+        self.check_zero(*make_torus(12))
+
+    def test_slivers(self):
+        """Their planes are known worse than their corners."""
+        for flat in (1e-3, 1e-6):
+            self.check_zero(CUBE_VERTICES * [1.0, flat, 1.0], CUBE_FACES)
+
+    def test_open_mesh(self):
+        self.check_zero(CUBE_VERTICES, CUBE_FACES[:-1])
+
+    def test_beside_the_surface_is_not_on_it(self):
+        """Outwards there is nothing, inwards the surface itself."""
+        step = 1e-12
+        for faces in (CUBE_FACES, CUBE_FACES[:-2]):
+            shape = make_mesh(write_obj(CUBE_VERTICES, faces))
+            p, normals = self.make_points(CUBE_VERTICES, CUBE_FACES[:4], 400)
+            normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+            # Not on the edges, where out is another way.
+            p = 0.9 * p + 0.05 * normals
+            n = oracle.make_unit_vectors(self.rng, 400)
+            n *= np.sign((n * normals).sum(axis=1, keepdims=True))
+            for side, expected in ((1.0, np.inf), (-1.0, step)):
+                cosine = (n * normals).sum(axis=1)
+                alone, _ = self.cast(
+                    shape, self.poses[0], p + step * normals, side * n
+                )
+                np.testing.assert_allclose(
+                    alone * cosine, expected, rtol=0, atol=2e-16
+                )
+
+    def test_no_ray_slips_in_from_next_to_the_surface(self):
+        """What is outside by less than rounding may see nothing or 0."""
+        vertices, faces = make_torus(12)
+        shape = make_mesh(write_obj(vertices, faces))
+        for X in self.poses[:2]:
+            p, normals = self.make_points(vertices, faces, 2000)
+            p += self.rng.choice([-1, 1], (2000, 3)) * np.spacing(p)
+            n = oracle.make_unit_vectors(self.rng, 2000)
+            inwards = (n * normals).sum(axis=1) < 0.0
+            alone, _ = self.cast(shape, X, p[inwards], n[inwards])
+            self.assertLess(alone.max(), 1e-15)
+
+
+class TestFarOrigins(unittest.TestCase):
+    def test_all_that_are_no_error_see_what_is_there(self):
+        for shape in (
+            Sphere(1),
+            Ellipsoid(1, 1, 1),
+            Capsule(1, 2),
+            Cylinder(1, 2),
+            Box(2, 2, 2),
+            HalfSpace(),
+            make_cube(Mesh),
+            make_cube(Convex),
+        ):
+            for far in (1e20, 1e60, 0.99e100):
+                with self.subTest(shape=shape, far=far):
+                    for distance in cast(shape, [0, 0, far], [0, 0, -1.0]):
+                        self.assertAlmostEqual(distance / far, 1.0)
+
+    def test_bundles_and_poses(self):
+        scene = oracle.Scene()
+        scene.add(Sphere(1.0), frame_id=scene.add_frame())
+        dut = RayCaster(scene.inspector)
+        good = dict(
+            frame_id=dut.world_frame_id, fan_S=[[1.0, 0, 0]], max_range=np.inf
+        )
+        for far in (1e100, 1e150, 1e300):
+            with self.assertRaisesRegex(ValueError, "X_FS"):
+                dut.make_bundles(X_FS=[RigidTransform([0, far, 0])], **good)
+        bundles = dut.make_bundles(X_FS=[RigidTransform()], **good)
+        X_WF = dut.poses_from_query_object(scene.query_object())
+        X_WF[0, 0, 3] = 1e150
+        with self.assertRaisesRegex(ValueError, r"nearer than 1e\+100 m"):
+            dut.cast_bundles(bundles, X_WF)
+
+    def test_shapes(self):
+        for shape, X in (
+            (Sphere(1.0), RigidTransform([0, 0, -1e150])),
+            (Sphere(1e150), None),
+            (make_mesh(write_obj(CUBE_VERTICES * 1e150, CUBE_FACES)), None),
+        ):
+            scene = oracle.Scene()
+            scene.add(shape, X, name="moon")
+            with self.assertRaisesRegex(
+                UserError, r"'moon': .*not below 1e\+100 m"
+            ):
+                RayCaster(scene.inspector)
+
+
 class TestRaysThatAreNone(unittest.TestCase):
     """Bad input is an error, never a wrong number."""
 
@@ -294,6 +451,14 @@ class TestRaysThatAreNone(unittest.TestCase):
                 self.check(p, [1.0, 0, 0], "not finite")
         self.check([np.inf, -np.inf, 0], [1.0, 0, 0], "not finite")
 
+    def test_origin_that_is_too_far(self):
+        """Its square is no number any more, and it would miss."""
+        for far in (1e100, -1e150, 1e154, 1e300):
+            for i in range(3):
+                p = [0.0, 0, 0]
+                p[i] = far
+                self.check(p, -np.sign(p), r"not nearer than 1e\+100 m")
+
     def test_unit_vector_but_for_rounding(self):
         """It is made one, so the distance is in metres."""
         for length in (1.0 - 5e-7, 1.0 + 5e-7):
@@ -310,6 +475,12 @@ class TestRaysThatAreNone(unittest.TestCase):
             (([[0.0, 0]], [[1.0, 0]]), "not both"),
             ((p, n, np.nan), "max_range"),
             ((p, n, -1.0), "max_range"),
+            (([[0j, 0, 0]], n), "p_WR: complex128 are no real numbers"),
+            ((p, np.array(n) + 0j), "n_WR: complex128 are no real"),
+            ((np.ma.masked_array(p, True), n), "p_WR: a masked array"),
+            ((p, np.ma.masked_array(n)), "n_WR: a masked array"),
+            (([["0", "0", "0"]], n), "p_WR: .* are no real numbers"),
+            (([[0.0, 0], [0.0]], n), "inhomogeneous"),
         ):
             with (
                 self.subTest(args=args),

@@ -5,9 +5,13 @@ from pydrake.geometry import (
     Box,
     Capsule,
     Cylinder,
+    FrameId,
+    GeometryId,
     GeometryInstance,
     HalfSpace,
+    IllustrationProperties,
     MeshcatCone,
+    PerceptionProperties,
     ProximityProperties,
     QueryObject,
     Role,
@@ -190,6 +194,10 @@ class TestBundles(unittest.TestCase):
             (dict(X_FS=[np.eye(3, 4)[[0, 1, 1]]]), "X_FS"),
             (dict(frame_id=self.scene.frame_ids), "frame_id: 2 frames for 1"),
             (dict(excluded=[[], []]), "excluded: 2 collections for 1"),
+            (dict(X_FS=[np.eye(3, 4) + 0j]), "X_FS: complex128"),
+            (dict(fan_S=[[1j, 0, 0]]), "fan_S: complex128"),
+            (dict(max_range="far"), "max_range: .* no real number"),
+            (dict(frame_id=FrameId.get_new_id()), "frame_id: .* had no <Fra"),
         ):
             with (
                 self.subTest(bad=bad),
@@ -215,6 +223,23 @@ class TestBundles(unittest.TestCase):
             actual = self.dut.cast_bundles(bundles, poses)
             np.testing.assert_array_equal(actual[0], expected[0])
             np.testing.assert_array_equal(actual[1], expected[1])
+
+    def test_lists_will_do(self):
+        bundles, _ = self.make(3, max_range=1.0)
+        X_WF = self.dut.poses_from_query_object(self.scene.query_object())
+        which = np.array([True, False, True])
+        expected = self.dut.cast_bundles(bundles, X_WF, which)
+        actual = self.dut.cast_bundles(bundles, X_WF.tolist(), which.tolist())
+        np.testing.assert_array_equal(actual[0], expected[0])
+        ray = [[0.0, 0, 0]], [[1.0, 0, 0]]
+        self.assertEqual(
+            self.dut.cast(X_WF.tolist(), *ray), self.dut.cast(X_WF, *ray)
+        )
+        for bad in (None, "poses", [[1.0]], X_WF + 0j):
+            with self.assertRaisesRegex(ValueError, "X_WF"):
+                self.dut.cast_bundles(bundles, bad)
+            with self.assertRaisesRegex(ValueError, "X_WF"):
+                self.dut.cast(bad, *ray)
 
     def test_some_of_the_bundles(self):
         bundles, _ = self.make(40, max_range=2.0)
@@ -391,6 +416,10 @@ class TestRayCaster(unittest.TestCase):
         )
         with self.assertRaisesRegex(ValueError, "shape_2.*perception"):
             mut.RayCaster(scene.inspector, geometry_ids=[touched])
+        with self.assertRaisesRegex(ValueError, "does not know.*perception"):
+            mut.RayCaster(
+                scene.inspector, geometry_ids=[seen, GeometryId.get_new_id()]
+            )
         with self.assertRaisesRegex(ValueError, "role: kUnassigned"):
             mut.RayCaster(scene.inspector, role=Role.kUnassigned)
 
@@ -474,6 +503,46 @@ class TestRayCaster(unittest.TestCase):
         scene = oracle.Scene(Role.kProximity)
         changed = scene.add(Sphere(0.1))
         dut = mut.RayCaster(scene.inspector, role=Role.kProximity)
+        dut.poses_from_query_object(scene.query_object())
+        scene.scene_graph.ChangeShape(
+            scene.context, scene.source_id, changed, Sphere(0.2)
+        )
+        with self.assertRaisesRegex(RuntimeError, "shape_0' was changed"):
+            dut.poses_from_query_object(scene.query_object())
+
+    def test_geometry_that_was_swapped_is_noticed(self):
+        """As many as before, and without a renderer Drake counts no version."""
+        for subset in (False, True):
+            with self.subTest(subset=subset):
+                scene = oracle.Scene()
+                scene.add(Box(1, 1, 1))
+                gone = scene.add(Sphere(0.1))
+                geometry_ids = [gone] if subset else None
+                dut = mut.RayCaster(scene.inspector, geometry_ids=geometry_ids)
+                dut.poses_from_query_object(scene.query_object())
+                scene.scene_graph.RemoveGeometry(
+                    scene.context, scene.source_id, gone
+                )
+                late = GeometryInstance(RigidTransform(), Sphere(0.2), "late")
+                late.set_perception_properties(PerceptionProperties())
+                scene.scene_graph.RegisterGeometry(
+                    scene.context,
+                    scene.source_id,
+                    scene.inspector.world_frame_id(),
+                    late,
+                )
+                for _ in range(2):
+                    with self.assertRaisesRegex(RuntimeError, "was removed"):
+                        dut.poses_from_query_object(scene.query_object())
+
+    def test_changed_geometry_of_two_roles_is_noticed(self):
+        """Visuals that a plant registers have both roles."""
+        scene = oracle.Scene()
+        changed = scene.add(Sphere(0.1))
+        scene.scene_graph.AssignRole(
+            scene.source_id, changed, IllustrationProperties()
+        )
+        dut = mut.RayCaster(scene.inspector)
         dut.poses_from_query_object(scene.query_object())
         scene.scene_graph.ChangeShape(
             scene.context, scene.source_id, changed, Sphere(0.2)

@@ -12,8 +12,8 @@ PAGE = Path(__file__).parents[2] / "docs" / "ray_caster.md"
 class TestPage(unittest.TestCase):
     def test_examples(self):
         blocks = re.findall(r"```python\n(.*?)```", PAGE.read_text(), re.S)
-        self.assertEqual(len(blocks), 2)
-        example, sensors = blocks
+        self.assertEqual(len(blocks), 3)
+        example, sensors, known_poses = blocks
         lines = [line for line in example.splitlines() if line]
         code = [x for x in lines if not x.startswith(("import ", "from "))]
         self.assertEqual(len(code), 10)
@@ -38,6 +38,10 @@ class TestPage(unittest.TestCase):
             np.tile([-1.0, 0, 0], (seen[0].sum(), 1)),
             atol=1e-15,
         )
+        found = space["distances"]
+        exec(known_poses, space)
+        self.assertIsNot(space["distances"], found)
+        np.testing.assert_allclose(space["distances"], found, atol=1e-12)
 
 
 if __name__ == "__main__":

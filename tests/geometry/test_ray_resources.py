@@ -14,7 +14,12 @@ from pydrake.geometry import FramePoseVector
 from pydrake.math import RigidTransform
 import ray_oracle as oracle
 
-from tofssm_drake.geometry import mesh_kernels, ray_kernels
+from tofssm_drake.geometry import (
+    mesh_kernels,
+    mesh_parts,
+    ray_kernels,
+    triangle_tree,
+)
 from tofssm_drake.geometry.fan import make_cone_fan
 from tofssm_drake.geometry.ray_caster import RayCaster
 
@@ -78,7 +83,7 @@ def report_cache():
     """Prints (hits, misses) of each kernel that a scan has used."""
     Scanner().scan(0)
     stats = {}
-    for module in (ray_kernels, mesh_kernels):
+    for module in (ray_kernels, mesh_kernels, mesh_parts, triangle_tree):
         for name, value in vars(module).items():
             if isinstance(value, numba.core.dispatcher.Dispatcher):
                 hits = sum(value.stats.cache_hits.values())
@@ -113,7 +118,10 @@ class TestResources(unittest.TestCase):
 
     def test_kernels_are_compiled_once_for_all_processes(self):
         stats = run_in_new_process("report_cache()")
-        for name in ("cast_bundles", "cast_rays", "calc_normals"):
+        for name in (
+            *("cast_bundles", "cast_rays", "calc_normals"),
+            *("_join", "_build_tree"),
+        ):
             self.assertIn(name, stats)
         for name, (hits, misses) in stats.items():
             self.assertGreater(hits, 0, name)

@@ -372,7 +372,7 @@ class TestReadMesh(unittest.TestCase):
         self.vertices = self.vertices.astype(np.float32).astype(float)
 
     def check_same(self, mesh, vertices, faces):
-        actual = mut.read_mesh(mesh, "it").triangles
+        actual = mut.read_mesh(mesh, "it").surface.triangles
         expected = np.asarray(vertices)[faces].reshape(-1, 9)
         self.assertEqual(len(actual), len(expected))
         sorted_actual = actual[np.lexsort(actual.T)]
@@ -386,7 +386,9 @@ class TestReadMesh(unittest.TestCase):
             path.write_text(text)
             file = mut.read_mesh(Mesh(path, np.array([1.0, 2, 3])), "it")
         memory = mut.read_mesh(make_mesh(text, scale=(1, 2, 3)), "it")
-        np.testing.assert_array_equal(file.triangles, memory.triangles)
+        np.testing.assert_array_equal(
+            file.surface.triangles, memory.surface.triangles
+        )
         self.check_same(make_mesh(text), self.vertices, self.faces)
 
     def test_gltf_is_turned_and_scaled_as_drake_does(self):
@@ -407,7 +409,7 @@ class TestReadMesh(unittest.TestCase):
             [(self.vertices, self.faces.ravel(), 4)], nodes, None
         )
         shape = make_mesh(text, ".gltf", scale=(1, 2, 3))
-        triangles = mut.read_mesh(shape, "it").triangles
+        triangles = mut.read_mesh(shape, "it").surface.triangles
         self.assertEqual(len(triangles), 2 * len(self.faces))
         hull = shape.GetConvexHull()
         own = triangles.reshape(-1, 3)
@@ -463,6 +465,28 @@ class TestReadMesh(unittest.TestCase):
                     faces,
                 )  # fmt: skip
 
+    def test_gltf_with_a_mirrored_node(self):
+        """The mirror turns nothing inside out: a cube in a cube fills it,
+        unless its triangles run the other way."""
+        inside_out = CUBE_FACES[:, ::-1]
+        for mirror in (1.0, -1.0):
+            for inner, expected in ((CUBE_FACES, 0.0), (inside_out, 0.25)):
+                text, _ = make_gltf(
+                    [
+                        (CUBE_VERTICES, CUBE_FACES.ravel(), 4),
+                        (CUBE_VERTICES, inner.ravel(), 4),
+                    ],
+                    [
+                        {"mesh": 0, "children": [1]},
+                        {"mesh": 1, "scale": [0.5, 0.5, 0.5 * mirror]},
+                    ],
+                    None,
+                )
+                mesh = make_mesh(text, ".gltf")
+                n = [[1.0, 0, 0]]
+                hit = cast(mesh, [[0, 0.01, 0.02], [0.4, 0.01, 0.02]], n * 2)
+                np.testing.assert_allclose(hit, [expected, 0.0], atol=1e-15)
+
     def test_tetrahedra(self):
         points = "0 0 0  1 0 0  0 1 0  0 0 1  1 1 1"
         text = (
@@ -472,14 +496,16 @@ class TestReadMesh(unittest.TestCase):
             "CELLS 2 10\n4 0 1 2 3\n4 1 2 3 4\nCELL_TYPES 2\n10\n10\n"
         )
         mesh = mut.read_mesh(make_mesh(text, ".vtk", (2, 2, 2)), "it")
-        self.assertEqual(len(mesh.triangles), 6)
-        self.assertTrue(mesh.is_closed)
-        self.assertEqual(mesh.triangles.max(), 2.0)
+        self.assertEqual(len(mesh.surface.triangles), 6)
+        self.assertIs(mesh.solid, mesh.surface)
+        self.assertEqual(mesh.surface.triangles.max(), 2.0)
 
     def test_unreadable_meshes_are_named(self):
         good, _ = make_gltf([(self.vertices, [0, 1, 2], 4)], [{"mesh": 0}], "x")
         dots, _ = make_gltf([(self.vertices, [0, 1], 0)], [{"mesh": 0}], None)
         needs = json.dumps({"extensionsRequired": ["KHR_draco"]})
+        null = json.dumps(json.loads(dots) | {"buffers": None})
+        circle = json.loads(dots) | {"nodes": [{"children": [0]}]}
         for shape, message in (
             (Mesh("/nowhere/none.obj"), "none.obj' can not be read"),
             (Mesh("/nowhere/none.gltf"), "none.gltf' can not be read"),
@@ -490,6 +516,9 @@ class TestReadMesh(unittest.TestCase):
             (make_mesh(good, ".gltf"), "can not be read: 'x'"),
             (make_mesh(dots, ".gltf"), "no triangle"),
             (make_mesh(needs, ".gltf"), "needs the extensions KHR_draco"),
+            (make_mesh("[]", ".gltf"), "memory.*not as its format demands"),
+            (make_mesh(null, ".gltf"), "memory.*not as its format demands"),
+            (make_mesh(json.dumps(circle), ".gltf"), "no tree: two lead to 0"),
         ):
             with (
                 self.subTest(message=message),
@@ -502,7 +531,7 @@ class TestReadMesh(unittest.TestCase):
 
 class TestMakeTriangleMesh(unittest.TestCase):
     def check_tree(self, vertices, faces):
-        dut = mut.make_triangle_mesh(vertices, faces)
+        dut = mut.make_triangle_mesh(vertices, faces).surface
         seen = np.zeros(len(faces), dtype=int)
         corners = dut.triangles.reshape(-1, 3, 3)
         stack = [(0, 0)]
@@ -537,17 +566,6 @@ class TestMakeTriangleMesh(unittest.TestCase):
         scale = np.repeat(0.5 ** np.arange(600), 3)[:, None]
         vertices = np.tile(np.eye(3), (600, 1)) * scale
         self.check_tree(vertices, np.arange(1800).reshape(-1, 3))
-
-    def test_closed(self):
-        self.assertTrue(mut.is_closed(CUBE_VERTICES, CUBE_FACES))
-        self.assertFalse(mut.is_closed(CUBE_VERTICES, CUBE_FACES[1:]))
-        # Every face with vertices of its own, as for hard edges.
-        apart = CUBE_VERTICES[CUBE_FACES].reshape(-1, 3)
-        self.assertTrue(mut.is_closed(apart, np.arange(36).reshape(-1, 3)))
-        turned = CUBE_FACES.copy()
-        turned[3] = turned[3, ::-1]
-        self.assertFalse(mut.is_closed(CUBE_VERTICES, turned))
-        self.assertFalse(mut.is_closed(np.eye(3), np.array([[0, 1, 1]])))
 
     def test_wrong_arguments(self):
         with self.assertRaisesRegex(ValueError, "no triangle"):

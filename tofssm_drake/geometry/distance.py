@@ -4,8 +4,9 @@ A capsule is a segment p-q with a radius; a sphere is a capsule whose segment
 has no length. Everything is in one frame, in metres.
 """
 
-from numba import njit
 import numpy as np
+
+from tofssm_drake.kernels import njit
 
 
 @njit(cache=True, error_model="numpy")

@@ -3,14 +3,20 @@
 The test of ray and triangle is the watertight one of Woop, Benthin and Wald
 (Journal of Computer Graphics Techniques 2(1), 2013): neighbours decide about
 their common edge with the same products, so no ray slips through between
-them. Meshes come as one pool of nodes and triangles (see `TriangleMesh`).
+them. Meshes come as one pool of nodes and triangles (see `TriangleTree`).
 """
 
-from numba import njit
 import numpy as np
+
+from tofssm_drake.kernels import njit
 
 STACK = 128
 """Entries of a traversal's stack; trees are less deep."""
+
+# How near to a surface is on it, in units of the largest coordinate.
+_ON = 1e-14
+# Of a product of three lengths.
+_ROUNDING = 2e-15
 
 
 @njit(cache=True, error_model="numpy", forceinline=True)
@@ -79,7 +85,7 @@ def cast_mesh(nodes, triangles, root, p, dx, dy, dz, limit, stack):
     """Returns (distance, triangle) of the first hit before limit.
 
     Args:
-        nodes: See TriangleMesh, shape (., 8).
+        nodes: See TriangleTree, shape (., 8).
         triangles: Corners, shape (n, 9).
         root: The mesh's root node.
         p: Origin of the ray in G, shape (3,).
@@ -130,7 +136,7 @@ def cast_mesh(nodes, triangles, root, p, dx, dy, dz, limit, stack):
 
 
 @njit(cache=True, error_model="numpy")
-def _count_turns(nodes, triangles, root, p, dx, dy, dz):
+def _count_turns(nodes, triangles, root, p, dx, dy, dz, stack):
     """Returns how many times a closed mesh encloses a point.
 
     Counts the surface's crossings along a ray, out less in.
@@ -138,12 +144,11 @@ def _count_turns(nodes, triangles, root, p, dx, dy, dz):
     ix, iy, iz = _invert(dx), _invert(dy), _invert(dz)
     kx, ky, kz, sx, sy, sz = _shear(dx, dy, dz)
     turns = 0
-    stack = np.empty(STACK, dtype=np.int64)
-    stack[0] = root
+    stack[0, 0] = root
     top = 1
     while top > 0:
         top -= 1
-        node = stack[top]
+        node = int(stack[0, top])
         if (
             _enter_box(nodes, node, p[0], p[1], p[2], ix, iy, iz, np.inf)
             == np.inf
@@ -158,27 +163,142 @@ def _count_turns(nodes, triangles, root, p, dx, dy, dz):
                 if side != 0 and t >= 0.0:
                     turns += side
             continue
-        stack[top], stack[top + 1] = first, first + 1
+        stack[0, top], stack[0, top + 1] = first, first + 1
         top += 2
     return turns
 
 
 @njit(cache=True, error_model="numpy")
-def is_inside_mesh(nodes, triangles, root, p):
-    """Returns whether a point is inside a closed mesh.
+def _encloses(nodes, triangles, root, p, stack):
+    """Returns whether a closed mesh encloses a point.
 
     A ray through an edge counts it twice, so odd directions are taken, and
     what two of three say.
     """
-    for j in range(3):
-        if p[j] < nodes[root, j] or p[j] > nodes[root, 3 + j]:
-            return False
-    first = _count_turns(nodes, triangles, root, p, 0.4836, 0.3271, 0.8118)
-    second = _count_turns(nodes, triangles, root, p, -0.6123, 0.7481, 0.2559)
+    first = _count_turns(
+        nodes, triangles, root, p, 0.4836, 0.3271, 0.8118, stack
+    )
+    second = _count_turns(
+        nodes, triangles, root, p, -0.6123, 0.7481, 0.2559, stack
+    )
     if (first != 0) == (second != 0):
         return first != 0
-    third = _count_turns(nodes, triangles, root, p, 0.2087, -0.5312, -0.8211)
+    third = _count_turns(
+        nodes, triangles, root, p, 0.2087, -0.5312, -0.8211, stack
+    )
     return third != 0
+
+
+@njit(cache=True, error_model="numpy", forceinline=True)
+def _is_near_edge(ax, ay, az, ex, ey, ez, within):
+    """Returns whether the origin is near the edge from a to a + e."""
+    length2 = ex * ex + ey * ey + ez * ez
+    s = -(ax * ex + ay * ey + az * ez) / length2 if length2 > 0.0 else 0.0
+    s = min(max(s, 0.0), 1.0)
+    x, y, z = ax + s * ex, ay + s * ey, az + s * ez
+    return x * x + y * y + z * z <= within * within
+
+
+@njit(cache=True, error_model="numpy", forceinline=True)
+def _is_near_triangle(triangles, i, p, within):
+    """Returns whether a point is near triangle i, or closer than rounding.
+
+    A sliver's plane is the less certain the slimmer it is.
+    """
+    # The corners and edges, from the point.
+    ax, ay, az = (
+        triangles[i, 0] - p[0],
+        triangles[i, 1] - p[1],
+        triangles[i, 2] - p[2],
+    )
+    ux, uy, uz = (
+        triangles[i, 3] - triangles[i, 0],
+        triangles[i, 4] - triangles[i, 1],
+        triangles[i, 5] - triangles[i, 2],
+    )
+    vx, vy, vz = (
+        triangles[i, 6] - triangles[i, 0],
+        triangles[i, 7] - triangles[i, 1],
+        triangles[i, 8] - triangles[i, 2],
+    )
+    nx, ny, nz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
+    area = np.sqrt(nx * nx + ny * ny + nz * nz)
+    u2 = ux * ux + uy * uy + uz * uz
+    v2 = vx * vx + vy * vy + vz * vz
+    a2 = ax * ax + ay * ay + az * az
+    height = abs(ax * nx + ay * ny + az * nz)
+    if height > within * area + _ROUNDING * np.sqrt(u2 * v2 * a2):
+        return False
+    # Where the point's foot is: its coordinates along u and v, times n^2.
+    cx, cy, cz = ny * az - nz * ay, nz * ax - nx * az, nx * ay - ny * ax
+    s = -(cx * vx + cy * vy + cz * vz)
+    t = cx * ux + cy * uy + cz * uz
+    if s >= 0.0 and t >= 0.0 and s + t <= area * area:
+        return True
+    return (
+        _is_near_edge(ax, ay, az, ux, uy, uz, within)
+        or _is_near_edge(ax, ay, az, vx, vy, vz, within)
+        or _is_near_edge(
+            ax + ux, ay + uy, az + uz, vx - ux, vy - uy, vz - uz, within
+        )
+    )
+
+
+@njit(cache=True, error_model="numpy")
+def _is_on_mesh(nodes, triangles, root, p, within, stack):
+    """Returns whether a point is on a triangle, give or take a distance."""
+    stack[0, 0] = root
+    top = 1
+    while top > 0:
+        top -= 1
+        node = int(stack[0, top])
+        if (
+            p[0] < nodes[node, 0] - within
+            or p[1] < nodes[node, 1] - within
+            or p[2] < nodes[node, 2] - within
+            or p[0] > nodes[node, 3] + within
+            or p[1] > nodes[node, 4] + within
+            or p[2] > nodes[node, 5] + within
+        ):
+            continue
+        first, count = int(nodes[node, 6]), int(nodes[node, 7])
+        if count > 0:
+            for i in range(first, first + count):
+                if _is_near_triangle(triangles, i, p, within):
+                    return True
+            continue
+        stack[0, top], stack[0, top + 1] = first, first + 1
+        top += 2
+    return False
+
+
+@njit(cache=True, error_model="numpy")
+def is_in_mesh(nodes, triangles, root, solid, p, far, stack):
+    """Returns whether a point is inside a mesh or on its surface.
+
+    On the surface is what is nearer than 1e-14 of the largest coordinate:
+    with less, rounding might let a ray neither start inside nor cross the
+    surface.
+
+    Args:
+        nodes: See TriangleTree, shape (., 8).
+        triangles: Corners, shape (n, 9).
+        root: The mesh's root node.
+        solid: The root node of what bounds a volume, -1 if nothing does.
+        p: The point in G, shape (3,).
+        far: Its largest coordinate in the world.
+        stack: Scratch space, shape (2, STACK).
+    """
+    for j in range(6):
+        far = max(far, abs(nodes[root, j]))
+    if _is_on_mesh(nodes, triangles, root, p, _ON * far, stack):
+        return True
+    if solid < 0:
+        return False
+    for j in range(3):
+        if p[j] < nodes[solid, j] or p[j] > nodes[solid, 3 + j]:
+            return False
+    return _encloses(nodes, triangles, solid, p, stack)
 
 
 @njit(cache=True, error_model="numpy")

@@ -18,6 +18,7 @@ from pydrake.geometry import (
     Ellipsoid,
     FrameId,
     GeometryId,
+    GeometrySet,
     HalfSpace,
     Mesh,
     QueryObject,
@@ -31,11 +32,21 @@ from tofssm_drake.errors import UserError
 from tofssm_drake.geometry import ray_kernels, shape_kernels
 from tofssm_drake.geometry.ball_tree import make_ball_tree
 from tofssm_drake.geometry.triangle_mesh import describe_mesh_source, read_mesh
+from tofssm_drake.geometry.triangle_tree import TriangleTree
 
 _UNIT_TOLERANCE = 1e-6
 # Rays that are checked together against bounding spheres, at most.
 _GROUP_SIZE = 32
 _IDENTITY = np.eye(3, 4)
+
+_BAD_POSE = (
+    "X_WF: a pose is not finite or no rotation, or is not nearer than"
+    f" {ray_kernels.FAR:g} m"
+)
+_BAD_RAY = (
+    "p_WR, n_WR: an origin is not finite or not nearer than"
+    f" {ray_kernels.FAR:g} m, or a direction is not a unit vector"
+)
 
 
 @dc.dataclass(frozen=True, eq=False, kw_only=True)
@@ -83,9 +94,12 @@ class RayCaster:
     Supported are Sphere, Ellipsoid, Capsule, Cylinder, Box, HalfSpace, Convex
     and Mesh (.obj, .gltf and tetrahedral .vtk, from files or memory). A Convex
     is the convex hull of its vertices. A Mesh is its triangles, whereas most
-    of Drake's distance queries see its hull; it has an inside if its surface
-    is closed, else rays see the surface alone, from both sides. A ray that
-    runs exactly within a triangle's plane does not see this triangle.
+    of Drake's distance queries see its hull. Its closed parts have an inside
+    (see `mesh_parts.orient_faces`); of all else rays see the surface alone,
+    from both sides. Whether a ray starts on a triangle is decided to 1e-14 of
+    the largest coordinate, of the mesh in its own frame or of the origin in
+    the world. One that does not, and runs exactly within a triangle's plane,
+    does not see this triangle.
     """
 
     def __init__(
@@ -103,9 +117,10 @@ class RayCaster:
             geometry_ids: If given, only these of them are seen.
 
         Raises:
-            UserError: If a geometry's shape can not be cast; names it.
+            UserError: If a geometry's shape can not be cast, or has a size or
+                place of 1e100 m or more; names it.
             ValueError: If the role is none, or a geometry of `geometry_ids`
-                has not the role.
+                has not the role or is unknown.
         """
         if role == Role.kUnassigned:
             raise ValueError(
@@ -122,11 +137,13 @@ class RayCaster:
             self._geometry_ids = [g for g in with_role if g in wanted]
             for stranger in wanted.difference(with_role):
                 raise ValueError(
-                    f"geometry_ids: '{inspector.GetName(stranger)}' has not"
-                    f" the role {_name(role)}"
+                    f"geometry_ids: {_name_geometry(inspector, stranger)} has"
+                    f" not the role {_name(role)}"
                 )
+        self._geometry_set = GeometrySet(self._geometry_ids)
         self._geometry_row = {g: i for i, g in enumerate(self._geometry_ids)}
         self._world_frame_id = inspector.world_frame_id()
+        self._known_frame_ids = set(inspector.GetAllFrameIds())
         self._frame_ids: list[FrameId] = []
         self._frame_row: dict[FrameId, int] = {}
         self._posed_frame_ids: list[FrameId] = []
@@ -142,6 +159,15 @@ class RayCaster:
             name = inspector.GetName(geometry_id)
             kind, size, data, low, high, radius = pool.add(shape, name)
             X_FG = inspector.GetPoseInFrame(geometry_id)
+            extent = np.abs([X_FG.translation(), low, high])
+            if (
+                kind != shape_kernels.HALF_SPACE
+                and not (extent < ray_kernels.FAR).all()
+            ):
+                raise UserError(
+                    f"geometry '{name}': its size or place is not below"
+                    f" {ray_kernels.FAR:g} m"
+                )
             frame = self._find_frame(inspector.GetFrameId(geometry_id))
             self._descriptions.append(description)
             # In the order of the columns that ray_kernels names.
@@ -195,10 +221,10 @@ class RayCaster:
         Raises:
             RuntimeError: If the QueryObject is no port's, or if geometries of
                 the role were added, removed or changed since this caster was
-                made: it would see the old ones. Drake counts no version of
-                perception geometry while the SceneGraph has no renderer; then
-                only a change of their number is noticed here, the rest by
-                `check_geometry`.
+                made: it would see the old ones. One change is not noticed
+                here, but by `check_geometry`: `ChangeShape` of a geometry
+                that has the perception role only, while the SceneGraph has
+                no renderer. Drake counts no version then.
         """
         try:
             # Mapped bound methods: half the cost of a comprehension.
@@ -217,11 +243,7 @@ class RayCaster:
             self.check_geometry(query_object.inspector())
             raise
         inspector = query_object.inspector()
-        if not (
-            inspector.geometry_version().IsSameAs(self._version, self._role)
-            and inspector.NumGeometriesWithRole(self._role)
-            == self._num_with_role
-        ):
+        if not self._is_unchanged(inspector):
             # A new Context counts as a new version: look closer.
             self.check_geometry(inspector)
             self._remember_version(inspector)
@@ -289,14 +311,15 @@ class RayCaster:
 
         Raises:
             ValueError: If shapes of arrays do not fit, if a direction is not
-                a unit vector, or if a number is NaN.
+                a unit vector, if a number is NaN, or if the SceneGraph had no
+                such frame when the caster was made.
         """
-        X_FS = np.array(
+        X_FS = _copy_numbers(
+            "X_FS",
             [
                 X.GetAsMatrix34() if isinstance(X, RigidTransform) else X
                 for X in X_FS
             ],
-            dtype=float,
         )
         m = len(X_FS)
         if X_FS.shape != (m, 3, 4) or not ray_kernels.are_poses(X_FS):
@@ -305,7 +328,7 @@ class RayCaster:
         if len(fan_S) == 0:
             raise ValueError("fan_S: has no ray")
         max_range = np.array(
-            np.broadcast_to(np.asarray(max_range, dtype=float), m)
+            np.broadcast_to(_copy_numbers("max_range", max_range), m)
         )
         if not (max_range >= 0.0).all():
             raise ValueError(f"max_range: {max_range} is not >= 0")
@@ -315,6 +338,11 @@ class RayCaster:
         if len(frame_ids) != m:
             raise ValueError(
                 f"frame_id: {len(frame_ids)} frames for {m} bundles"
+            )
+        for stranger in set(frame_ids).difference(self._known_frame_ids):
+            raise ValueError(
+                f"frame_id: the SceneGraph had no {stranger} when the caster"
+                " was made"
             )
         active = np.ones((m, len(self._geometry_ids)), dtype=bool)
         if excluded is not None:
@@ -383,14 +411,8 @@ class RayCaster:
         self._check_bundles(bundles)
         if which is None:
             which = bundles._all
-        elif which.shape != (bundles.num_bundles,) or which.dtype != bool:
-            raise ValueError(
-                f"which: {which.dtype} of shape {which.shape} is not bool of"
-                f" shape ({bundles.num_bundles},)"
-            )
-        elif not (which.flags.c_contiguous and which.flags.writeable):
-            # Another layout would be another kernel to compile.
-            which = which.copy()
+        else:
+            which = self._check_which(bundles, which)
         shape = bundles.num_bundles, bundles._fan.shape[1]
         # As results of compiled code they would cost microseconds.
         distance = np.empty(shape)
@@ -407,7 +429,7 @@ class RayCaster:
             index,
         )
         if status != ray_kernels.OK:
-            raise ValueError("X_WF: a pose is not finite or no rotation")
+            raise ValueError(_BAD_POSE)
         return distance, index
 
     def cast(
@@ -434,14 +456,15 @@ class RayCaster:
 
         Raises:
             ValueError: If shapes of arrays do not fit, if a direction is not
-                a unit vector, if a pose is none, or if a number is not finite.
+                a unit vector, if a pose is none, if a number is not finite,
+                or if an origin is 1e100 m or more away.
             RuntimeError: See `poses_from_query_object`.
         """
-        if isinstance(poses, np.ndarray):
-            X_WF = self._check_poses(poses)
-        else:
+        if isinstance(poses, QueryObject):
             X_WF = self.poses_from_query_object(poses)
-        p_WR, n_WR = _as_packed(p_WR), _as_packed(n_WR)
+        else:
+            X_WF = self._check_poses(poses)
+        p_WR, n_WR = _as_packed("p_WR", p_WR), _as_packed("n_WR", n_WR)
         if p_WR.ndim != 2 or p_WR.shape[1] != 3 or p_WR.shape != n_WR.shape:
             raise ValueError(
                 f"p_WR {p_WR.shape} and n_WR {n_WR.shape}: not both (n, 3)"
@@ -462,12 +485,9 @@ class RayCaster:
             float(max_range),
         )
         if status == ray_kernels.BAD_POSE:
-            raise ValueError("X_WF: a pose is not finite or no rotation")
+            raise ValueError(_BAD_POSE)
         if status == ray_kernels.BAD_RAY:
-            raise ValueError(
-                "p_WR, n_WR: an origin is not finite, or a direction is not a"
-                " unit vector"
-            )
+            raise ValueError(_BAD_RAY)
         return distance, index
 
     def calc_rays(
@@ -534,23 +554,20 @@ class RayCaster:
                 " belong together"
             )
         self._check_indices(geometry_index)
-        p_WR = np.array(p_WR, dtype=float).reshape(-1, 3)
-        n_WR = np.array(n_WR, dtype=float).reshape(-1, 3)
+        p_WR = _copy_numbers("p_WR", p_WR).reshape(-1, 3)
+        n_WR = _copy_numbers("n_WR", n_WR).reshape(-1, 3)
         length = np.linalg.norm(n_WR, axis=1)
         if not (
-            np.isfinite(p_WR).all()
+            (np.abs(p_WR) < ray_kernels.FAR).all()
             and (np.abs(length - 1.0) <= _UNIT_TOLERANCE).all()
         ):
-            raise ValueError(
-                "p_WR, n_WR: an origin is not finite, or a direction is not a"
-                " unit vector"
-            )
+            raise ValueError(_BAD_RAY)
         normals = ray_kernels.calc_normals(
             X_WF,
             self._scene,
             p_WR,
             n_WR,
-            np.array(distance, dtype=float).reshape(-1),
+            _copy_numbers("distance", distance).reshape(-1),
             np.array(geometry_index, dtype=np.int64).reshape(-1),
         )
         return normals.reshape(*shape, 3)
@@ -576,7 +593,7 @@ class RayCaster:
     def _check_values(self, X_WF: np.ndarray) -> np.ndarray:
         """Returns poses that are finite and turn nothing but rigidly."""
         if not ray_kernels.are_poses(X_WF):
-            raise ValueError("X_WF: a pose is not finite or no rotation")
+            raise ValueError(_BAD_POSE)
         return X_WF
 
     def _check_indices(self, geometry_index: np.ndarray) -> None:
@@ -590,6 +607,31 @@ class RayCaster:
                 "geometry_index: has an index that is neither -1 nor one of"
                 f" {len(self._geometry_ids)} geometries"
             )
+
+    def _is_unchanged(self, inspector: SceneGraphInspector) -> bool:
+        """Returns whether there is no sign of a change; in 3 us."""
+        version = inspector.geometry_version()
+        if not (
+            version.IsSameAs(self._version, self._role)
+            and inspector.NumGeometriesWithRole(self._role)
+            == self._num_with_role
+        ):
+            return False
+        if self._role != Role.kPerception:
+            return True
+        # Without a renderer Drake counts no versions of this role. But it
+        # counts those of others that the geometry may have, too, and it raises
+        # an error if one of a set is gone. None of them is without a role.
+        try:
+            return (
+                version.IsSameAs(self._version, Role.kIllustration)
+                and version.IsSameAs(self._version, Role.kProximity)
+                and not inspector.GetGeometryIds(
+                    self._geometry_set, Role.kUnassigned
+                )
+            )
+        except RuntimeError:
+            return False
 
     def _remember_version(self, inspector: SceneGraphInspector) -> None:
         self._version = copy.copy(inspector.geometry_version())
@@ -612,23 +654,53 @@ class RayCaster:
         if bundles._caster is not self:
             raise ValueError("bundles: made by another RayCaster")
 
+    def _check_which(self, bundles: RayBundles, which) -> np.ndarray:
+        """Returns the flags as the kernels are compiled for."""
+        which = np.asarray(which)
+        if which.shape != (bundles.num_bundles,) or which.dtype != bool:
+            raise ValueError(
+                f"which: {which.dtype} of shape {which.shape} is not bool of"
+                f" shape ({bundles.num_bundles},)"
+            )
+        if which.flags.c_contiguous and which.flags.writeable:
+            return which
+        return which.copy()
+
     def _check_poses(self, X_WF: np.ndarray) -> np.ndarray:
         """Returns the poses as the kernels are compiled for."""
+        X_WF = _as_packed("X_WF", X_WF)
         if X_WF.shape != (len(self._frame_ids), 3, 4):
             raise ValueError(
                 f"X_WF: shape {X_WF.shape} is not"
                 f" ({len(self._frame_ids)}, 3, 4)"
             )
-        return _as_packed(X_WF)
+        return X_WF
 
 
-def _as_packed(array) -> np.ndarray:
+def _as_packed(where: str, array) -> np.ndarray:
     """Returns an array, or a copy, as the kernels are compiled for."""
+    if type(array) is np.ndarray:
+        flags = array.flags
+        if flags.c_contiguous and flags.writeable and array.dtype == float:
+            return array
+    return _copy_numbers(where, array)
+
+
+def _copy_numbers(where: str, array) -> np.ndarray:
+    """Returns a copy, real numbers, unless they are none."""
+    if isinstance(array, np.ma.MaskedArray):
+        raise ValueError(f"{where}: a masked array, which hides numbers")
     array = np.asarray(array)
-    flags = array.flags
-    if flags.c_contiguous and flags.writeable and array.dtype == float:
-        return array
+    if array.dtype.kind not in "iuf":
+        raise ValueError(f"{where}: {array.dtype} are no real numbers")
     return np.array(array, dtype=float, order="C")
+
+
+def _name_geometry(inspector: SceneGraphInspector, geometry_id) -> str:
+    try:
+        return f"'{inspector.GetName(geometry_id)}'"
+    except RuntimeError:
+        return f"{geometry_id}, which the SceneGraph does not know,"
 
 
 def _name(role: Role) -> str:
@@ -637,7 +709,7 @@ def _name(role: Role) -> str:
 
 def _make_unit_vectors(where: str, vectors: np.ndarray) -> np.ndarray:
     """Returns a copy with unit vectors exact to the last digits."""
-    vectors = np.array(vectors, dtype=float)
+    vectors = _copy_numbers(where, vectors)
     if vectors.ndim != 2 or vectors.shape[1] != 3:
         raise ValueError(f"{where}: shape {vectors.shape} is not (k, 3)")
     length = np.linalg.norm(vectors, axis=1, keepdims=True)
@@ -783,18 +855,30 @@ class _Pool:
 
     def _add_mesh(self, shape: Mesh, name: str):
         mesh = read_mesh(shape, name)
+        root = solid = self._add_tree(mesh.surface)
+        if mesh.solid is None:
+            solid = -1
+        elif mesh.solid is not mesh.surface:
+            solid = self._add_tree(mesh.solid)
+        corners = mesh.surface.triangles.reshape(-1, 3)
+        low, high, radius = _calc_bounds(corners)
+        # A ray that starts on the surface, but for rounding, is in the box.
+        margin = 1e-9 * radius
+        data = root, solid
+        return ray_kernels.MESH, data, low - margin, high + margin, radius
+
+    def _add_tree(self, tree: TriangleTree) -> int:
+        """Returns the row of its root."""
         root = self._num_nodes
-        nodes = mesh.nodes.copy()
+        nodes = tree.nodes.copy()
         is_leaf = nodes[:, 7] > 0
         nodes[is_leaf, 6] += self._num_triangles
         nodes[~is_leaf, 6] += root
         self._nodes.append(nodes)
-        self._triangles.append(mesh.triangles)
+        self._triangles.append(tree.triangles)
         self._num_nodes += len(nodes)
-        self._num_triangles += len(mesh.triangles)
-        data = root, int(mesh.is_closed)
-        corners = mesh.triangles.reshape(-1, 3)
-        return ray_kernels.MESH, data, *_calc_bounds(corners)
+        self._num_triangles += len(tree.triangles)
+        return root
 
     def _add_convex(self, shape: Convex, name: str):
         try:

@@ -7,23 +7,22 @@ the way into compiled code; whole numbers are therefore kept as floats, too:
   shapes     (n, 25)  one row for each shape, see the columns below
   balls      (., 7)   bounding balls of shapes and of groups of them, see below
   planes     (., 4)   (n, h) of all polytopes: the points with n.x <= h
-  nodes      (., 8)   of all meshes, see TriangleMesh
-  triangles  (., 9)   of all meshes, see TriangleMesh
+  nodes      (., 8)   of all meshes, see TriangleTree
+  triangles  (., 9)   of all meshes, see TriangleTree
 
 What a bundle or ray can not see is ruled out in three steps: by the balls,
 by the box that each shape is in, and, for what is farther than what has been
 hit already, by the least distance at which that box can be met.
 """
 
-from numba import njit
 import numpy as np
 
 from tofssm_drake.geometry.mesh_kernels import (
     STACK,
     cast_convex,
     cast_mesh,
+    is_in_mesh,
     is_inside_convex,
-    is_inside_mesh,
 )
 from tofssm_drake.geometry.shape_kernels import (
     BOX,
@@ -42,11 +41,12 @@ from tofssm_drake.geometry.shape_kernels import (
     find_normal,
     is_in_primitive,
 )
+from tofssm_drake.kernels import njit
 
 CONVEX = 6
 """Kinds above those of shape_kernels. Data: first plane, number of planes."""
 MESH = 7
-"""Data: root node, whether it is closed."""
+"""Data: root node of all, and of what bounds a volume, -1: nothing does."""
 
 POSE = 0
 """Columns of shapes: X_FG row by row (12)."""
@@ -88,6 +88,9 @@ NEAR_P = 0
 NEAR_R = 3
 """Its rotation R_GS, row by row (9)."""
 NEAR_COLUMNS = 12
+
+FAR = 1e100
+"""Coordinates from here on are errors: their squares would overflow, m."""
 
 OK = 0
 BAD_POSE = 1
@@ -137,11 +140,13 @@ def _pose_ball(X_WF, balls, b):
 
 @njit(cache=True, error_model="numpy")
 def are_poses(X_WF):
-    """Returns whether poses are finite and their rotations rotations."""
+    """Returns whether poses are in reach and their rotations rotations."""
     good = True
     for i in range(X_WF.shape[0]):
-        # Anything times zero is zero, unless it is not finite.
-        good &= (X_WF[i, 0, 3] + X_WF[i, 1, 3] + X_WF[i, 2, 3]) * 0.0 == 0.0
+        # NaN is not less.
+        good &= (
+            abs(X_WF[i, 0, 3]) + abs(X_WF[i, 1, 3]) + abs(X_WF[i, 2, 3]) < FAR
+        )
         xx, xy, xz = X_WF[i, 0, 0], X_WF[i, 0, 1], X_WF[i, 0, 2]
         yx, yy, yz = X_WF[i, 1, 0], X_WF[i, 1, 1], X_WF[i, 1, 2]
         zx, zy, zz = X_WF[i, 2, 0], X_WF[i, 2, 1], X_WF[i, 2, 2]
@@ -377,6 +382,7 @@ def cast_bundles(
         _compose(X_WF, int(bundles[i, BUNDLE_FRAME]), bundles, i, X_WS)
         reach = bundles[i, BUNDLE_RANGE]
         ox, oy, oz = X_WS[0, 3], X_WS[1, 3], X_WS[2, 3]
+        far = max(abs(ox), max(abs(oy), abs(oz)))
         ax, ay, az = cones[0, 0], cones[0, 1], cones[0, 2]
         cos, sin = max(cones[0, 3], 0.0), cones[0, 4]
         cos2 = cos * cos
@@ -467,8 +473,15 @@ def cast_bundles(
                             inside = (
                                 is_inside_convex(planes, part, parts, p_G)
                                 if kind == CONVEX
-                                else parts == 1
-                                and is_inside_mesh(nodes, triangles, part, p_G)
+                                else is_in_mesh(
+                                    nodes,
+                                    triangles,
+                                    part,
+                                    parts,
+                                    p_G,
+                                    far,
+                                    stack,
+                                )
                             )
                         if inside:
                             enter = -1.0
@@ -630,7 +643,8 @@ def cast_bundles(
         for j in range(k):
             place = int(fan[3, j])
             index[i, place] = hit[j]
-            distance[i, place] = best[j] if hit[j] >= 0 else np.inf
+            # Not -0.0.
+            distance[i, place] = abs(best[j]) if hit[j] >= 0 else np.inf
     return OK
 
 
@@ -697,9 +711,12 @@ def cast_rays(X_WF, scene, active, p_WR, n_WR, reach):
         ox, oy, oz = p_WR[i, 0], p_WR[i, 1], p_WR[i, 2]
         ex, ey, ez = n_WR[i, 0], n_WR[i, 1], n_WR[i, 2]
         length = np.sqrt(ex * ex + ey * ey + ez * ez)
-        if not (abs(length - 1.0) <= 1e-6 and np.isfinite(ox + oy + oz)):
+        if not (
+            abs(length - 1.0) <= 1e-6 and abs(ox) + abs(oy) + abs(oz) < FAR
+        ):
             return BAD_RAY, distance, index
         ex, ey, ez = ex / length, ey / length, ez / length
+        far = max(abs(ox), max(abs(oy), abs(oz)))
         for b in range(num_balls):
             flags[b] = _may_hit_ball(
                 posed[0, b] - ox,
@@ -793,10 +810,8 @@ def cast_rays(X_WF, scene, active, p_WR, n_WR, reach):
                             )
                     else:
                         p[0], p[1], p[2] = px, py, pz
-                        if (
-                            may_be_inside
-                            and parts == 1
-                            and is_inside_mesh(nodes, triangles, part, p)
+                        if may_be_inside and is_in_mesh(
+                            nodes, triangles, part, parts, p, far, stack
                         ):
                             t = 0.0
                         else:
@@ -816,7 +831,7 @@ def cast_rays(X_WF, scene, active, p_WR, n_WR, reach):
                         best = t
                         hit = s
         if hit >= 0:
-            distance[i] = best
+            distance[i] = abs(best)  # Not -0.0.
             index[i] = hit
     return OK, distance, index
 

@@ -9,8 +9,9 @@ They choose values instead of branches, so that a compiler can cast several
 rays at a time.
 """
 
-from numba import njit
 import numpy as np
+
+from tofssm_drake.kernels import njit
 
 SPHERE = 0
 """Sizes: radius, -, -."""

@@ -1,4 +1,4 @@
-"""Triangles of Drake's Mesh shapes, and a bounding volume hierarchy of them.
+"""Triangles of Drake's Mesh shapes.
 
 Drake's distance queries replace many a mesh by its convex hull. What is seen
 along a ray is the surface itself, so it is read here: OBJ and tetrahedral VTK
@@ -13,7 +13,6 @@ from pathlib import Path
 import tempfile
 from urllib.parse import unquote
 
-from numba import njit
 import numpy as np
 from pydrake.geometry import (
     AddRigidHydroelasticProperties,
@@ -27,11 +26,11 @@ from pydrake.geometry import (
 from pydrake.math import RigidTransform
 
 from tofssm_drake.errors import UserError
-
-_LEAF_SIZE = 4
-_BINS = 16
-# From here on lists are halved, which bounds the stack of a traversal.
-_DEEP = 64
+from tofssm_drake.geometry.mesh_parts import orient_faces
+from tofssm_drake.geometry.triangle_tree import (
+    TriangleTree,
+    make_triangle_tree,
+)
 
 _COMPONENT_TYPES = {
     5120: np.int8,
@@ -48,20 +47,12 @@ _TRIANGLES, _TRIANGLE_STRIP, _TRIANGLE_FAN = 4, 5, 6
 
 @dc.dataclass(frozen=True, eq=False, kw_only=True)
 class TriangleMesh:
-    """Triangles, sorted into a tree of axis-aligned boxes.
+    """What rays see of a Mesh, and what they can start inside of."""
 
-    A row of `nodes` is a box and two whole numbers (first, count). With a
-    count it is a leaf and has so many triangles from the first on, else it
-    has the nodes first and first + 1 as children. Node 0 is the root.
-    """
-
-    triangles: np.ndarray
-    """The three corners of each triangle in G, shape (n, 9), m."""
-    nodes: np.ndarray
-    """Lower and upper corner of the box, m, first, count: shape (., 8). The
-    boxes are a trace larger than what they hold."""
-    is_closed: bool
-    """Whether it bounds a volume, so that a point can be inside."""
+    surface: TriangleTree
+    """All triangles."""
+    solid: TriangleTree | None
+    """Those that bound volumes; the same tree if all do, None if none do."""
 
 
 def make_triangle_mesh(vertices: np.ndarray, faces: np.ndarray):
@@ -80,43 +71,12 @@ def make_triangle_mesh(vertices: np.ndarray, faces: np.ndarray):
         raise ValueError("it has no triangle")
     if not np.isfinite(vertices[faces]).all():
         raise ValueError("it has a vertex that is not finite")
-    corners = vertices[faces]
-    order, bounds, links = _build_tree(
-        corners.min(axis=1), corners.max(axis=1), corners.mean(axis=1)
-    )
-    # A ray along a box's face must not be lost to rounding.
-    margin = 1e-12 * np.abs(bounds[0]).max()
-    bounds += margin * np.array([-1.0, -1.0, -1.0, 1.0, 1.0, 1.0])
-    return TriangleMesh(
-        triangles=np.ascontiguousarray(corners[order].reshape(-1, 9)),
-        nodes=np.hstack([bounds, links]),
-        is_closed=is_closed(vertices, faces),
-    )
-
-
-def is_closed(vertices: np.ndarray, faces: np.ndarray) -> bool:
-    """Returns whether a surface has an inside.
-
-    That is so if every edge is shared by equally many triangles that run
-    along it in either direction. Vertices at the same place count as one,
-    since files repeat them where a surface has a crease.
-    """
-    places = np.unique(vertices + 0.0, axis=0, return_inverse=True)[1]
-    corners = places.reshape(-1)[faces]
-    # A triangle that is only a line or point bounds nothing.
-    real = (
-        (corners[:, 0] != corners[:, 1])
-        & (corners[:, 1] != corners[:, 2])
-        & (corners[:, 2] != corners[:, 0])
-    )
-    corners = corners[real]
-    if len(corners) == 0:
-        return False
-    edges = np.vstack([corners[:, [i, (i + 1) % 3]] for i in range(3)])
-    sign = np.where(edges[:, 0] < edges[:, 1], 1, -1)
-    key = np.sort(edges, axis=1) @ np.array([len(vertices), 1])
-    _, edge = np.unique(key, return_inverse=True)
-    return not np.bincount(edge.reshape(-1), weights=sign).any()
+    faces, is_solid = orient_faces(vertices, faces)
+    surface = make_triangle_tree(vertices, faces)
+    solid = surface if is_solid.any() else None
+    if solid and not is_solid.all():
+        solid = make_triangle_tree(vertices, faces[is_solid])
+    return TriangleMesh(surface=surface, solid=solid)
 
 
 def describe_mesh_source(mesh) -> str:
@@ -154,6 +114,10 @@ def read_mesh(mesh: Mesh, name: str) -> TriangleMesh:
         )
     try:
         return make_triangle_mesh(*reader(mesh))
+    except (AttributeError, TypeError) as error:
+        raise UserError(
+            f"{where} can not be read: it is not as its format demands: {error}"
+        ) from error
     except (OSError, RuntimeError, ValueError, LookupError) as error:
         reason = str(error).splitlines()[0] if str(error) else repr(error)
         raise UserError(f"{where} can not be read: {reason}") from error
@@ -230,8 +194,11 @@ def _read_gltf(mesh):
                 indices = indices[:, 0].astype(np.int64)
             else:
                 indices = np.arange(len(p_NV))
+            corners = _make_faces(indices, mode)
+            if np.linalg.det(X_GN[:3, :3]) < 0.0:
+                corners = corners[:, ::-1]  # A mirror turns them inside out.
             vertices.append(p_NV @ X_GN[:3, :3].T + X_GN[:3, 3])
-            faces.append(_make_faces(indices, mode) + count)
+            faces.append(corners + count)
             count += len(p_NV)
     if not faces:
         raise ValueError("it has no triangle")
@@ -262,8 +229,12 @@ def _walk_gltf_nodes(gltf):
         children = {c for n in nodes for c in n.get("children", [])}
         roots = [i for i in range(len(nodes)) if i not in children]
     stack = [(root, np.eye(4)) for root in roots]
+    seen = set()
     while stack:
         index, X_GP = stack.pop()
+        if index in seen:
+            raise ValueError(f"its nodes are no tree: two lead to {index}")
+        seen.add(index)
         node = nodes[index]
         X_GN = X_GP @ _calc_node_transform(node)
         yield node, X_GN
@@ -324,108 +295,3 @@ def _make_faces(indices: np.ndarray, mode: int) -> np.ndarray:
     faces = np.column_stack([indices[:-2], indices[1:-1], indices[2:]])
     faces[1::2] = faces[1::2, ::-1]  # Every second one runs the other way.
     return faces
-
-
-@njit(cache=True, error_model="numpy")
-def _half_area(low, high):
-    x, y, z = high[0] - low[0], high[1] - low[1], high[2] - low[2]
-    return x * y + y * z + z * x
-
-
-@njit(cache=True, error_model="numpy")
-def _find_split(low, high, centre, order, start, end):
-    """Returns (axis, plane) of the cheapest split, axis -1 if there is none.
-
-    The surface area heuristic over equal bins of the triangles' centres.
-    """
-    best_axis, best_plane, best_cost = -1, 0.0, np.inf
-    for axis in range(3):
-        first, last = np.inf, -np.inf
-        for i in range(start, end):
-            first = min(first, centre[order[i], axis])
-            last = max(last, centre[order[i], axis])
-        if not last > first:
-            continue
-        count = np.zeros(_BINS, dtype=np.int64)
-        bin_low = np.full((_BINS, 3), np.inf)
-        bin_high = np.full((_BINS, 3), -np.inf)
-        scale = _BINS / (last - first)
-        for i in range(start, end):
-            k = order[i]
-            b = min(int((centre[k, axis] - first) * scale), _BINS - 1)
-            count[b] += 1
-            for j in range(3):
-                bin_low[b, j] = min(bin_low[b, j], low[k, j])
-                bin_high[b, j] = max(bin_high[b, j], high[k, j])
-        right = np.full(_BINS, np.inf)
-        box_low, box_high = np.full(3, np.inf), np.full(3, -np.inf)
-        total = 0
-        for b in range(_BINS - 1, 0, -1):
-            total += count[b]
-            for j in range(3):
-                box_low[j] = min(box_low[j], bin_low[b, j])
-                box_high[j] = max(box_high[j], bin_high[b, j])
-            if total > 0:
-                right[b] = total * _half_area(box_low, box_high)
-        box_low[:] = np.inf
-        box_high[:] = -np.inf
-        total = 0
-        for b in range(_BINS - 1):
-            total += count[b]
-            for j in range(3):
-                box_low[j] = min(box_low[j], bin_low[b, j])
-                box_high[j] = max(box_high[j], bin_high[b, j])
-            if total == 0:
-                continue
-            cost = total * _half_area(box_low, box_high) + right[b + 1]
-            if cost < best_cost:
-                best_axis = axis
-                best_plane = first + (b + 1) / scale
-                best_cost = cost
-    return best_axis, best_plane
-
-
-@njit(cache=True, error_model="numpy")
-def _build_tree(low, high, centre):
-    """Returns (order of the triangles, node bounds, node links)."""
-    n = low.shape[0]
-    order = np.arange(n)
-    bounds = np.empty((2 * n, 6))
-    links = np.empty((2 * n, 2), dtype=np.int64)
-    starts = np.empty(2 * n, dtype=np.int64)
-    ends = np.empty(2 * n, dtype=np.int64)
-    depth = np.zeros(2 * n, dtype=np.int64)
-    starts[0], ends[0] = 0, n
-    used = 1
-    node = 0
-    while node < used:
-        start, end = starts[node], ends[node]
-        for j in range(3):
-            bounds[node, j] = np.inf
-            bounds[node, 3 + j] = -np.inf
-        for i in range(start, end):
-            for j in range(3):
-                bounds[node, j] = min(bounds[node, j], low[order[i], j])
-                bounds[node, 3 + j] = max(
-                    bounds[node, 3 + j], high[order[i], j]
-                )
-        links[node, 0], links[node, 1] = start, end - start
-        if end - start > _LEAF_SIZE:
-            axis, plane, middle = -1, 0.0, start
-            if depth[node] < _DEEP:
-                axis, plane = _find_split(low, high, centre, order, start, end)
-            if axis >= 0:
-                for i in range(start, end):
-                    if centre[order[i], axis] < plane:
-                        order[i], order[middle] = order[middle], order[i]
-                        middle += 1
-            if middle == start or middle == end:
-                # No plane parts the centres: halve the list as it is.
-                middle = (start + end) // 2
-            links[node, 0], links[node, 1] = used, 0
-            starts[used], ends[used] = start, middle
-            starts[used + 1], ends[used + 1] = middle, end
-            depth[used] = depth[used + 1] = depth[node] + 1
-            used += 2
-        node += 1
-    return order, bounds[:used].copy(), links[:used].copy()

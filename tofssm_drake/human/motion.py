@@ -2,7 +2,6 @@
 
 import dataclasses as dc
 
-from numba import njit
 import numpy as np
 
 from tofssm_drake.human.skeleton import (
@@ -12,6 +11,7 @@ from tofssm_drake.human.skeleton import (
     calc_radii,
     complete_joints,
 )
+from tofssm_drake.kernels import njit
 
 
 @dc.dataclass(frozen=True, eq=False, kw_only=True)

@@ -12,8 +12,9 @@ sources have the same body.
 
 import dataclasses as dc
 
-from numba import njit
 import numpy as np
+
+from tofssm_drake.kernels import njit
 
 _SIDES = ("left", "right")
 

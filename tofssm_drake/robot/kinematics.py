@@ -7,11 +7,11 @@ needs that asks for each sensor's own sample time.
 
 import dataclasses as dc
 
-from numba import njit
 import numpy as np
 from pydrake.multibody.plant import MultibodyPlant
 
 from tofssm_drake.errors import UserError
+from tofssm_drake.kernels import njit
 from tofssm_drake.messages import RINGS
 
 UR10_JOINTS = (

@@ -11,12 +11,12 @@ import bisect
 import dataclasses as dc
 import functools
 
-from numba import njit
 import numpy as np
 from pydrake.systems.framework import BasicVector, Context, DiscreteValues
 import ruckig
 
 from tofssm_drake.errors import UserError, require, require_period
+from tofssm_drake.kernels import njit
 from tofssm_drake.leaf_system import LeafSystem
 from tofssm_drake.robot.kinematics import (
     RingKinematics,

@@ -9,7 +9,6 @@ sample time. `TwinPoses` does that without a plant context.
 from collections.abc import Sequence
 import dataclasses as dc
 
-from numba import njit
 import numpy as np
 from pydrake.geometry import SceneGraph
 from pydrake.multibody.plant import (
@@ -18,6 +17,7 @@ from pydrake.multibody.plant import (
 )
 
 from tofssm_drake.errors import UserError
+from tofssm_drake.kernels import njit
 import tofssm_drake.models as models
 from tofssm_drake.robot.kinematics import (
     UR10_JOINTS,

@@ -3,7 +3,6 @@
 import dataclasses as dc
 import math
 
-from numba import njit
 import numpy as np
 from pydrake.common.value import Value
 from pydrake.systems.framework import (
@@ -13,6 +12,7 @@ from pydrake.systems.framework import (
 )
 
 from tofssm_drake.errors import require_period
+from tofssm_drake.kernels import njit
 from tofssm_drake.leaf_system import LeafSystem
 from tofssm_drake.messages import (
     RINGS,

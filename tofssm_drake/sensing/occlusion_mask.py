@@ -6,7 +6,6 @@ import functools
 import math
 from typing import Protocol
 
-from numba import njit
 import numpy as np
 from pydrake.common.value import Value
 from pydrake.systems.framework import (
@@ -18,6 +17,7 @@ from pydrake.systems.framework import (
 from tofssm_drake.errors import require, require_period
 from tofssm_drake.geometry.fan import make_cone_fan
 from tofssm_drake.geometry.ray_caster import RayBundles, RayCaster
+from tofssm_drake.kernels import njit
 from tofssm_drake.leaf_system import (
     DID_NOTHING,
     SUCCEEDED,

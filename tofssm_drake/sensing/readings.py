@@ -24,9 +24,9 @@ below the minimum range is detected but wrong, so it too counts as 0 m, the
 nearest possible.
 """
 
-from numba import njit
 import numpy as np
 
+from tofssm_drake.kernels import njit
 from tofssm_drake.messages import Reading, RingHealth
 from tofssm_drake.sensing.vl53l1x import (
     SATURATED,

@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 
-from numba import njit
 import numpy as np
 from pydrake.common.value import Value
 from pydrake.geometry import FrameId
@@ -10,6 +9,7 @@ from pydrake.systems.framework import Context
 
 from tofssm_drake.geometry.ray_caster import RayCaster
 from tofssm_drake.human.skeleton import calc_capsule_poses
+from tofssm_drake.kernels import njit
 from tofssm_drake.leaf_system import LeafSystem
 from tofssm_drake.robot.products import ProductLayout
 from tofssm_drake.robot.twin import TwinPoses

@@ -5,12 +5,12 @@ import dataclasses as dc
 import math
 from typing import Protocol
 
-from numba import njit
 import numpy as np
 from pydrake.common.value import Value
 from pydrake.systems.framework import Context
 
 from tofssm_drake.errors import require
+from tofssm_drake.kernels import njit
 from tofssm_drake.leaf_system import LeafSystem
 from tofssm_drake.messages import (
     RINGS,

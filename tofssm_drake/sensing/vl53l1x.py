@@ -8,10 +8,10 @@ Pure functions only: the random draws are an argument.
 import dataclasses as dc
 import math
 
-from numba import njit
 import numpy as np
 
 from tofssm_drake.errors import require
+from tofssm_drake.kernels import njit
 
 NOISE_DRAWS = 4
 """Standard normal draws per sensor and sample: range error, validity, kind of

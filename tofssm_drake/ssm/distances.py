@@ -7,9 +7,9 @@ compiled; the public functions run the same source on arrays.
 
 from typing import NamedTuple
 
-from numba import njit
 import numpy as np
 
+from tofssm_drake.kernels import njit
 from tofssm_drake.ssm.config import SsmConfig
 
 

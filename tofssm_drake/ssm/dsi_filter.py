@@ -2,11 +2,11 @@
 
 import dataclasses as dc
 
-from numba import njit
 import numpy as np
 from pydrake.common.value import Value
 
 from tofssm_drake.errors import require_period
+from tofssm_drake.kernels import njit
 from tofssm_drake.leaf_system import (
     DID_NOTHING,
     SUCCEEDED,

@@ -2,10 +2,10 @@
 
 import dataclasses as dc
 
-from numba import njit
 import numpy as np
 from pydrake.common.value import Value
 
+from tofssm_drake.kernels import njit
 from tofssm_drake.leaf_system import LeafSystem
 from tofssm_drake.messages import (
     RINGS,
