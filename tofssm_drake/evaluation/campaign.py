@@ -24,7 +24,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from tofssm_drake.errors import UserError, require
-from tofssm_drake.evaluation.samples import write_atomically
+from tofssm_drake.evaluation.samples import PARTS, write_atomically
 from tofssm_drake.ssm.config import CONFIGURATIONS
 
 SENSINGS = ("tof", "ideal", "lidar", "tof16")
@@ -386,8 +386,12 @@ def find_change(old: dict, new: dict) -> str | None:
     return None
 
 
-def check_folder(folder: Path, plan: Plan) -> None:
-    """Raises UserError if another campaign is in the folder."""
+def enter_folder(folder: Path, plan: Plan) -> None:
+    """Tidies up what a kill has left in the folder of this campaign.
+
+    Raises:
+        UserError: Another campaign is in the folder.
+    """
     path = Path(folder) / _PLAN_FILE
     if not path.exists():
         return
@@ -401,6 +405,9 @@ def check_folder(folder: Path, plan: Plan) -> None:
         f"--out: {folder} holds another campaign ({difference}); give "
         "another folder, or the same options and perhaps more trials or cells",
     )
+    # What a kill left of files that were being written.
+    for half in Path(folder).rglob(PARTS):
+        half.unlink(missing_ok=True)
 
 
 def open_folder(folder: Path, plan: Plan) -> None:
