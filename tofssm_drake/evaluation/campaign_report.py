@@ -610,7 +610,10 @@ def write_campaign_report(
     pictures, contents = {}, {}
     for name, (make, description, arguments) in drawn.items():
         figure = make(*arguments)
-        svg, png = figures.to_svg(figure), figures.to_png(figure)
+        svg = figures.to_svg(figure)
+        # Where everything goes is known by now, and a third of the work.
+        figure.set_layout_engine("none")
+        png = figures.to_png(figure)
         pictures[name] = Picture(
             wide=figures.encode_svg(svg),
             narrow=figures.to_data_uri(make(*arguments, narrow=True)),
