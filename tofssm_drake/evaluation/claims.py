@@ -149,6 +149,11 @@ def _claim(key, text, unit, evidence, note="", why="", digits=3):
     )
 
 
+def _find_cells(pairs):
+    """Returns the cells of pairs in the order of the tables."""
+    return [c for c in make_cells() if any(c in pair for pair in pairs)]
+
+
 def _claim_safety(results, key, text, pairs, *, least=False, why=""):
     """A claim on the safety metric, with what the other averages say."""
     metrics = list(SAFETY)
@@ -160,7 +165,7 @@ def _claim_safety(results, key, text, pairs, *, least=False, why=""):
         )
         others.append(f"by the {SAFETY[metric]}: {verdict}")
     note = f"By the mean over the samples. {'; '.join(others).capitalize()}."
-    cells = list(dict.fromkeys(cell for pair in pairs for cell in pair))
+    cells = _find_cells(pairs)
     standing = explanations.explain_standing(results, cells, metrics[0])
     why = " ".join(part for part in (standing, why) if part)
     return _claim(key, text, "m\u00b2/(m/s)", evidence, note, why)
@@ -168,7 +173,7 @@ def _claim_safety(results, key, text, pairs, *, least=False, why=""):
 
 def _claim_productivity(results, key, text, pairs):
     """A claim on productivity, with the time that is lost."""
-    cells = list(dict.fromkeys(cell for pair in pairs for cell in pair))
+    cells = _find_cells(pairs)
     return _claim(
         key,
         text,
