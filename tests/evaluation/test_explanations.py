@@ -42,7 +42,7 @@ class TestEveryExplanation(unittest.TestCase):
         text = mut.explain_errors(results)
         self.assertIn("Real Vo 50, Ideal Vo 0, Lidar Vo 300", text)
         self.assertIn("whole surface: Real Vo, Ideal Vo.", text)
-        self.assertIn("the sensing itself errs: Lidar Vo.", text)
+        self.assertIn("the sensing's own: Lidar Vo.", text)
         self.assertNotIn("Without any sensor error", text)
 
     def test_errors_with_the_study(self):
@@ -65,7 +65,10 @@ class TestEveryExplanation(unittest.TestCase):
     def test_standing(self):
         share = {("tof", "vo"): 0.2, ("ideal", "vo"): 0.3}
         for safety, expected in (
-            ({("tof", "vo"): 3.0, ("ideal", "vo"): 4.0}, "Ideal Vo scores"),
+            (
+                {("tof", "vo"): 3.0, ("ideal", "vo"): 4.0},
+                "Vo scores highest, and none",
+            ),
             ({("tof", "vo"): 5.0, ("ideal", "vo"): 4.0}, "though Ideal Vo is"),
         ):
             results = make_results_of({"s": safety, "stopped_share": share})
@@ -90,7 +93,7 @@ class TestEveryExplanation(unittest.TestCase):
     def test_earliest(self):
         times = {("tof", "vo"): -0.2, ("lidar", "vo"): -0.9}
         for separation, expected in (
-            ({("tof", "vo"): 0.6, ("lidar", "vo"): 1.2}, "and it stops far"),
+            ({("tof", "vo"): 0.6, ("lidar", "vo"): 1.2}, "and none stops far"),
             ({("tof", "vo"): 1.6, ("lidar", "vo"): 1.2}, "Real Vo stops far"),
         ):
             results = make_results_of(

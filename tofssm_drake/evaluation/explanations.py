@@ -84,11 +84,11 @@ def explain_errors(results: Results) -> str:
             ),
         ),
         _tell(
-            "Where that is less than half of the error, the most of it is "
-            "that these places do not stand for the robot's whole surface",
+            "Less than half of the error is left, so most of it is that these "
+            "places do not stand for the robot's whole surface",
             _name(geometry),
         ),
-        _tell("Where it is not, the sensing itself errs", _name(own)),
+        _tell("Half of it or more is the sensing's own", _name(own)),
         (
             "Without any sensor error the rings' error changes by "
             f"{format_estimate(change.scale(1000.0), digits=0, sign=True)} mm."
@@ -127,9 +127,9 @@ def explain_standing(results: Results, cells: list[Cell], metric: str) -> str:
         return ""
     safest = max(both, key=safety.get)
     longest = max(both, key=share.get)
-    if safest == longest:
+    if share[safest] >= share[longest]:
         verdict = (
-            f"{safest.label} scores highest and is stopped for the largest "
+            f"{safest.label} scores highest, and none is stopped for a larger "
             "share of its time."
         )
     else:
@@ -175,8 +175,8 @@ def explain_earliest(results: Results, cells: list[Cell]) -> str:
         return ""
     earliest = min(both, key=times.get)
     farthest = max(both, key=separations.get)
-    if earliest == farthest:
-        verdict = f"{earliest.label} reacts first, and it stops farthest away."
+    if separations[earliest] >= separations[farthest]:
+        verdict = f"{earliest.label} reacts first, and none stops farther away."
     else:
         verdict = (
             f"{earliest.label} reacts first, {farthest.label} stops farthest "
