@@ -148,6 +148,30 @@ class TestEveryExplanation(unittest.TestCase):
             text = mut.explain_ramps(results)
             self.assertIn(f"With {count} of 3 sensings", text)
 
+    def test_studies(self):
+        plan = make_small_plan(3, variants=["kmax", "late"])
+        for shift, expected in (
+            (0.5, "Real Vr (k_max 3.3 m/s) +50.0 \u00b1 0.0"),
+            (0.0, "confidence: none."),
+        ):
+
+            def change(cell, trial, shift=shift):
+                moved = shift if cell.variant == "kmax" else 0.0
+                return {"productivity": 0.1 * trial + moved}
+
+            rows = make_rows(plan, {"task_time_s": 80.0}, change)
+            text = mut.explain_studies(
+                Results(make_results(plan, rows)),
+                "productivity",
+                digits=1,
+                scale=100,
+            )
+            self.assertIn("Of 5 cells with something changed", text)
+            self.assertIn(expected, text)
+            self.assertNotIn("late", text)
+        results = make_results_of({"productivity": 0.5})
+        self.assertEqual(mut.explain_studies(results, "productivity"), "")
+
     def test_lists(self):
         results = make_results_of(
             {

@@ -46,6 +46,18 @@ class Variant:
     """The changed settings of the scenario, as YAML."""
 
 
+def _make_lidar_variant(key, rule, label, question):
+    """Another way to take the lidar's distance, with every configuration."""
+    return Variant(
+        key=key,
+        label=label,
+        question=question,
+        sensings=("lidar",),
+        configurations=CONFIGURATIONS,
+        changes=f"{{lidar_separation: {{distance_rule: {rule}}}}}",
+    )
+
+
 VARIANTS = {
     variant.key: variant
     for variant in (
@@ -84,23 +96,19 @@ VARIANTS = {
             configurations=CONFIGURATIONS,
             changes="{ideal: {latency: 0.1}, ssm: {deadline: 0.2}}",
         ),
-        Variant(
-            key="subtracted",
-            label="r_o subtracted",
-            question="What if the workspace radius is subtracted from the "
-            "lidar's distance instead of added to the law's?",
-            sensings=("lidar",),
-            configurations=CONFIGURATIONS,
-            changes="{lidar_separation: {distance_rule: subtracted}}",
+        _make_lidar_variant(
+            "subtracted",
+            "subtracted",
+            "r_o subtracted",
+            "What if the workspace radius is subtracted from the lidar's "
+            "distance instead of added to the law's?",
         ),
-        Variant(
-            key="piecewise",
-            label="paper's piecewise rule",
-            question="What does the jump of the paper's Eq. 11 at the border "
-            "of the workspace do?",
-            sensings=("lidar",),
-            configurations=CONFIGURATIONS,
-            changes="{lidar_separation: {distance_rule: literal}}",
+        _make_lidar_variant(
+            "piecewise",
+            "literal",
+            "paper's piecewise rule",
+            "What does the jump of the paper's Eq. 11 at the border of the "
+            "workspace do?",
         ),
     )
 }

@@ -166,8 +166,11 @@ def _claim_safety(results, key, text, pairs, *, least=False, why=""):
         others.append(f"by the {SAFETY[metric]}: {verdict}")
     note = f"By the mean over the samples. {'; '.join(others).capitalize()}."
     cells = _find_cells(pairs)
-    standing = explanations.explain_standing(results, cells, metrics[0])
-    why = " ".join(part for part in (standing, why) if part)
+    why = explanations.join(
+        explanations.explain_standing(results, cells, metrics[0]),
+        why,
+        explanations.explain_studies(results, metrics[0]),
+    )
     return _claim(key, text, "m\u00b2/(m/s)", evidence, note, why)
 
 
@@ -179,7 +182,12 @@ def _claim_productivity(results, key, text, pairs):
         text,
         "percentage points",
         _compare(results, "productivity", pairs, scale=100.0),
-        why=explanations.explain_times(results, cells),
+        why=explanations.join(
+            explanations.explain_times(results, cells),
+            explanations.explain_studies(
+                results, "productivity", digits=1, scale=100.0
+            ),
+        ),
         digits=1,
     )
 
@@ -201,7 +209,10 @@ def _claim_separation(results, key, text, metric, target, asked):
         text,
         "m",
         _about(results, metric, [(cell, target) for cell in cells]),
-        why=explanations.explain_law_distances(results, *asked, cells),
+        why=explanations.join(
+            explanations.explain_law_distances(results, *asked, cells),
+            explanations.explain_studies(results, metric),
+        ),
     )
 
 
@@ -391,7 +402,10 @@ def claim_fastest_reaction(results: Results) -> Claim:
         ),
         "From the true distance's fall to 0.5 m to the stop; an approach "
         "without a stop has no reaction time and counts as missed.",
-        why=explanations.explain_earliest(results, make_cells()),
+        why=explanations.join(
+            explanations.explain_earliest(results, make_cells()),
+            explanations.explain_studies(results, "reaction_time_s"),
+        ),
     )
 
 
@@ -413,7 +427,10 @@ def claim_reaction_anticipates(results: Results) -> Claim:
         "the critical distance.",
         "s",
         evidence,
-        why=explanations.explain_late(results, make_cells()),
+        why=explanations.join(
+            explanations.explain_late(results, make_cells()),
+            explanations.explain_studies(results, "reaction_time_s"),
+        ),
     )
 
 

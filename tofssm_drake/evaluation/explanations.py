@@ -5,6 +5,8 @@ this campaign it takes from the campaign's numbers: other numbers give other
 sentences, and cells that were not run are not spoken of.
 """
 
+import dataclasses as dc
+
 from tofssm_drake.evaluation.campaign import Cell
 from tofssm_drake.evaluation.results import Results
 from tofssm_drake.evaluation.statistics import format_estimate
@@ -55,7 +57,8 @@ def _tell(head, listed, tail=""):
     return f"{head}: {listed}{tail}." if listed else ""
 
 
-def _join(*sentences):
+def join(*sentences: str) -> str:
+    """Returns the sentences that there are as one text."""
     return " ".join(sentence for sentence in sentences if sentence)
 
 
@@ -75,7 +78,7 @@ def explain_errors(results: Results) -> str:
     change = results.difference(
         exact, make_cell("tof", "vo"), "distance_rmse_surface_m"
     )
-    return _join(
+    return join(
         _tell(
             "Against the true distance from the same place that is measured "
             "from (a link's centre, the base) the errors are, in mm",
@@ -100,7 +103,7 @@ def explain_errors(results: Results) -> str:
 
 def explain_times(results: Results, cells: list[Cell]) -> str:
     """Tells for how long the robot was stopped and slowed."""
-    return _join(
+    return join(
         _tell(
             "Time stopped per run (s)",
             list_means(results, "stopped_s", cells, digits=1),
@@ -138,7 +141,7 @@ def explain_standing(results: Results, cells: list[Cell], metric: str) -> str:
             "stopped for a larger share of its time: that alone does not "
             "explain the order."
         )
-    return _join(
+    return join(
         "The metric divides by the tool speed, so a slow robot scores high.",
         _tell(
             "Stopped (% of the time)",
@@ -150,7 +153,7 @@ def explain_standing(results: Results, cells: list[Cell], metric: str) -> str:
 
 def explain_seeing(results: Results, cells: list[Cell]) -> str:
     """Tells what is seen, missed and taken for a person."""
-    return _join(
+    return join(
         _tell(
             "Person seen while in range (%)",
             list_means(results, "detection_share", cells, digits=1, scale=100),
@@ -182,7 +185,7 @@ def explain_earliest(results: Results, cells: list[Cell]) -> str:
             f"{earliest.label} reacts first, {farthest.label} stops farthest "
             "away."
         )
-    return _join(
+    return join(
         _tell(
             "Mean reaction time (s)",
             list_means(results, "reaction_time_s", both),
@@ -199,7 +202,7 @@ def explain_late(results: Results, cells: list[Cell]) -> str:
     """Tells who does not anticipate, and at which distance it stops."""
     times = _get_means(results, "reaction_time_s", cells)
     late = [cell for cell, time in times.items() if time >= 0.0]
-    return _join(
+    return join(
         _tell(
             "A stop is early where the law asks for more than 0.5 m between "
             "the surfaces. Its d_C at the stops, from the link's centre (m)",
@@ -224,7 +227,7 @@ def explain_real_against_ideal(results: Results) -> str:
             name = real.label.removeprefix("Real ")
             difference = format_estimate(value, digits=2, sign=True)
             studied.append(f"{name} {difference} s")
-    return _join(
+    return join(
         "Ideal comes without delay here, the rings sample and filter.",
         _tell("On average earlier than Ideal", ", ".join(earlier)),
         _tell("Later", ", ".join(later)),
@@ -247,7 +250,7 @@ def explain_ramps(results: Results) -> str:
         if len(times) > 1 and set(times) == set(speeds):
             total += 1
             same += max(times, key=times.get) == max(speeds, key=speeds.get)
-    return _join(
+    return join(
         "A stop lasts as long as the speed fraction has to fall.",
         _tell(
             "Tool speed at a stop (m/s)",
@@ -273,7 +276,7 @@ def explain_slowing(results: Results) -> str:
 def explain_speeds(results: Results) -> str:
     """Tells how fast the tool was at a stop, and how often it was slowed."""
     cells = make_cells()
-    return _join(
+    return join(
         _tell(
             "Tool speed at a stop (m/s)",
             list_means(results, "velocity_change_at_stop_mps", cells),
@@ -303,4 +306,37 @@ def explain_law_distances(
     return _tell(
         f"The law's own {name}, from the place that is measured from (m)",
         list_means(results, metric, cells),
+    )
+
+
+def explain_studies(
+    results: Results, metric: str, *, digits: int = 2, scale: float = 1.0
+) -> str:
+    """Tells which of the studies that were run change a metric for sure.
+
+    Args:
+        results: Of the campaign.
+        metric: Column.
+        digits: Of the changes.
+        scale: From the column's unit to that of the text.
+    """
+    changed = []
+    count = 0
+    for cell in results.cells:
+        if not cell.variant:
+            continue
+        plain = dc.replace(cell, variant="")
+        value = results.difference(cell, plain, metric).scale(scale)
+        if value.count < 2:
+            continue
+        count += 1
+        if value.low > 0.0 or value.high < 0.0:
+            change = format_estimate(value, digits=digits, sign=True)
+            changed.append(f"{cell.label} {change}")
+    if not count:
+        return ""
+    return _tell(
+        f"Of {count} cells with something changed, these differ with 95 % "
+        "confidence",
+        ", ".join(changed) or "none",
     )
