@@ -52,9 +52,14 @@ def _format(value, digits):
     return f"{value:.{digits}f}".replace("-", "\u2212")
 
 
-def _tell(head, listed, tail=""):
+def _tell(head, listed):
     """Returns a sentence; empty if there is nothing to list."""
-    return f"{head}: {listed}{tail}." if listed else ""
+    return f"{head}: {listed}." if listed else ""
+
+
+def _tell_means(results, head, metric, cells, **options):
+    """Returns a sentence that lists a metric's means by cell."""
+    return _tell(head, list_means(results, metric, cells, **options))
 
 
 def join(*sentences: str) -> str:
@@ -79,12 +84,14 @@ def explain_errors(results: Results) -> str:
         exact, make_cell("tof", "vo"), "distance_rmse_surface_m"
     )
     return join(
-        _tell(
+        _tell_means(
+            results,
             "Against the true distance from the same place that is measured "
             "from (a link's centre, the base) the errors are, in mm",
-            list_means(
-                results, "distance_rmse_link_m", both, digits=0, scale=1000
-            ),
+            "distance_rmse_link_m",
+            both,
+            digits=0,
+            scale=1000,
         ),
         _tell(
             "Less than half of the error is left, so most of it is that these "
@@ -104,14 +111,10 @@ def explain_errors(results: Results) -> str:
 def explain_times(results: Results, cells: list[Cell]) -> str:
     """Tells for how long the robot was stopped and slowed."""
     return join(
-        _tell(
-            "Time stopped per run (s)",
-            list_means(results, "stopped_s", cells, digits=1),
+        _tell_means(
+            results, "Time stopped per run (s)", "stopped_s", cells, digits=1
         ),
-        _tell(
-            "At half speed (s)",
-            list_means(results, "reduced_s", cells, digits=1),
-        ),
+        _tell_means(results, "At half speed (s)", "reduced_s", cells, digits=1),
     )
 
 
@@ -143,9 +146,13 @@ def explain_standing(results: Results, cells: list[Cell], metric: str) -> str:
         )
     return join(
         "The metric divides by the tool speed, so a slow robot scores high.",
-        _tell(
+        _tell_means(
+            results,
             "Stopped (% of the time)",
-            list_means(results, "stopped_share", both, digits=1, scale=100),
+            "stopped_share",
+            both,
+            digits=1,
+            scale=100,
         ),
         verdict,
     )
@@ -154,17 +161,27 @@ def explain_standing(results: Results, cells: list[Cell], metric: str) -> str:
 def explain_seeing(results: Results, cells: list[Cell]) -> str:
     """Tells what is seen, missed and taken for a person."""
     return join(
-        _tell(
+        _tell_means(
+            results,
             "Person seen while in range (%)",
-            list_means(results, "detection_share", cells, digits=1, scale=100),
+            "detection_share",
+            cells,
+            digits=1,
+            scale=100,
         ),
-        _tell(
+        _tell_means(
+            results,
             "Approaches without a stop, per run",
-            list_means(results, "missed_events", cells, digits=1),
+            "missed_events",
+            cells,
+            digits=1,
         ),
-        _tell(
+        _tell_means(
+            results,
             "Stops without an approach, per run",
-            list_means(results, "false_events", cells, digits=1),
+            "false_events",
+            cells,
+            digits=1,
         ),
     )
 
@@ -186,13 +203,12 @@ def explain_earliest(results: Results, cells: list[Cell]) -> str:
             "away."
         )
     return join(
-        _tell(
-            "Mean reaction time (s)",
-            list_means(results, "reaction_time_s", both),
-        ),
-        _tell(
+        _tell_means(results, "Mean reaction time (s)", "reaction_time_s", both),
+        _tell_means(
+            results,
             "Mean separation at a stop (m)",
-            list_means(results, "separation_at_stop_m", both),
+            "separation_at_stop_m",
+            both,
         ),
         verdict,
     )
@@ -203,10 +219,12 @@ def explain_late(results: Results, cells: list[Cell]) -> str:
     times = _get_means(results, "reaction_time_s", cells)
     late = [cell for cell, time in times.items() if time >= 0.0]
     return join(
-        _tell(
+        _tell_means(
+            results,
             "A stop is early where the law asks for more than 0.5 m between "
             "the surfaces. Its d_C at the stops, from the link's centre (m)",
-            list_means(results, "d_C_at_stop_m", cells),
+            "d_C_at_stop_m",
+            cells,
         ),
         _tell("Late on average", _name(late)),
     )
@@ -252,9 +270,11 @@ def explain_ramps(results: Results) -> str:
             same += max(times, key=times.get) == max(speeds, key=speeds.get)
     return join(
         "A stop lasts as long as the speed fraction has to fall.",
-        _tell(
+        _tell_means(
+            results,
             "Tool speed at a stop (m/s)",
-            list_means(results, "velocity_change_at_stop_mps", make_cells()),
+            "velocity_change_at_stop_mps",
+            make_cells(),
         ),
         (
             f"With {same} of {total} sensings, the configuration that takes "
@@ -267,9 +287,8 @@ def explain_ramps(results: Results) -> str:
 
 def explain_slowing(results: Results) -> str:
     """Tells the times to slow down themselves, not only their differences."""
-    return _tell(
-        "Mean time to reduce (s)",
-        list_means(results, "time_to_reduce_s", make_cells()),
+    return _tell_means(
+        results, "Mean time to reduce (s)", "time_to_reduce_s", make_cells()
     )
 
 
@@ -277,18 +296,20 @@ def explain_speeds(results: Results) -> str:
     """Tells how fast the tool was at a stop, and how often it was slowed."""
     cells = make_cells()
     return join(
-        _tell(
+        _tell_means(
+            results,
             "Tool speed at a stop (m/s)",
-            list_means(results, "velocity_change_at_stop_mps", cells),
+            "velocity_change_at_stop_mps",
+            cells,
         ),
-        _tell(
+        _tell_means(
+            results,
             "Changes from normal to reduced, per run",
-            list_means(results, "reduce_events", cells, digits=1),
+            "reduce_events",
+            cells,
+            digits=1,
         ),
-        _tell(
-            "Changes to stop",
-            list_means(results, "stop_events", cells, digits=1),
-        ),
+        _tell_means(results, "Changes to stop", "stop_events", cells, digits=1),
     )
 
 
@@ -303,9 +324,11 @@ def explain_law_distances(
         metric: Its column.
         cells: Those that are compared.
     """
-    return _tell(
+    return _tell_means(
+        results,
         f"The law's own {name}, from the place that is measured from (m)",
-        list_means(results, metric, cells),
+        metric,
+        cells,
     )
 
 
