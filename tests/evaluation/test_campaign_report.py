@@ -285,7 +285,7 @@ class TestReport(unittest.TestCase):
             }
         _, _, text = self.make(results=self.campaign.results)
         self.assertIn("In 2 of 30 runs the task was not finished", text)
-        self.assertIn("Lidar Vo 2 of 2 (for 79 % of the time the", text)
+        self.assertIn("was up: Lidar Vo 2 of 2 (79 %). In brackets", text)
         self.assertNotIn("Ideal Vo 0 of", text)
 
     def test_without_a_person(self):

@@ -422,7 +422,9 @@ def make_verdict(
                 "note",
                 f"In {unfinished:.0f} of {runs} runs the task was not "
                 "finished when the time was up: "
-                f"{_describe_unfinished(results)}. Their productivity is that "
+                f"{_describe_unfinished(results)}. In brackets, for how much "
+                "of the time the person was truly within the distance at "
+                "which the law stops the robot. Their productivity is that "
                 "of the part that was done.",
             )
         )
@@ -448,10 +450,7 @@ def _describe_unfinished(results):
         text = f"{cell.label} {undone} of {len(finished)}"
         due = results.estimate(cell, "stop_due_share")
         if due.count:
-            text += (
-                f" (for {100 * due.mean:.0f} % of the time the person was "
-                "truly within the distance at which the law stops the robot)"
-            )
+            text += f" ({100 * due.mean:.0f} %)"
         parts.append(text)
     return ", ".join(parts)
 
