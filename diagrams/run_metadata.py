@@ -71,7 +71,8 @@ def make_run_metadata(
 
 def describe_scenario(scenario: Scenario) -> str:
     """Returns a scenario as YAML, every setting written out."""
-    return yaml.safe_dump(dump_scenario(scenario), sort_keys=False)
+    dumper = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
+    return yaml.dump(dump_scenario(scenario), Dumper=dumper, sort_keys=False)
 
 
 def get_versions() -> dict[str, str]:

@@ -1,9 +1,12 @@
 """`tofssm experiments`: the paper's experiment, and its report."""
 
+from collections.abc import Iterator
+import contextlib
 import copy
 import hashlib
 from pathlib import Path
 import shlex
+import signal
 import sys
 import time
 from typing import Annotated
@@ -33,7 +36,7 @@ from tofssm_drake.evaluation.campaign import (
     VARIANTS,
     Plan,
     PlannedRun,
-    check_folder,
+    enter_folder,
     make_plan,
     make_results,
     open_folder,
@@ -44,6 +47,7 @@ from tofssm_drake.evaluation.campaign import (
 from tofssm_drake.evaluation.campaign_report import write_campaign_report
 from tofssm_drake.human.bvh import BvhRecording, make_bvh_motion
 from tofssm_drake.scripts.cluster import call_all, connect
+import tofssm_drake.scripts.options as options
 from tofssm_drake.ssm.config import CONFIGURATIONS
 
 
@@ -111,7 +115,8 @@ def experiments(
     scenario = load_scenario(text=scenario_text)
     scenario.simulation_duration = duration
     require_free(scenario)
-    scenario.check()
+    with options.blame({"simulation_duration": "--duration"}):
+        scenario.check()
     motions = read_motions(human_motions, scenario)
     plan = make_plan(
         seed=seed,
@@ -132,34 +137,67 @@ def experiments(
         workers is None or 1 <= workers <= 1000,
         f"--workers: {workers} must be from 1 to 1000",
     )
-    check_folder(out, plan)
+    enter_folder(out, plan)
     rows = read_rows(out, plan)
     missing = [r for r in plan.list_runs() if r.key not in rows]
     failures = {}
-    if missing:
-        try:
-            with connect(scheduler, workers=workers) as client:
-                open_folder(out, plan)
-                failures = run_missing(
-                    client, out, plan, missing, scenario, motions
-                )
-        except KeyboardInterrupt:
-            print(
-                "tofssm: interrupted; the same command goes on from here",
-                file=sys.stderr,
-            )
-            return 130
-    results = make_results(plan, read_rows(out, plan))
-    write_results(out, results)
-    report = write_campaign_report(
-        out,
-        plan=plan,
-        rows=results,
-        parameters=list_parameters(scenario, plan),
-        command=shlex.join(["tofssm", *sys.argv[1:]]),
-        failures=failures,
-    )
+    try:
+        with interrupt_on_sigterm():
+            if missing:
+                with connect(scheduler, workers=workers) as client:
+                    open_folder(out, plan)
+                    failures = run_missing(
+                        client, out, plan, missing, scenario, motions
+                    )
+            report = write_all(out, plan, scenario, failures)
+    except KeyboardInterrupt:
+        print(
+            "tofssm: interrupted; the same command goes on from here",
+            file=sys.stderr,
+        )
+        return 130
     return tell(report, failures)
+
+
+@contextlib.contextmanager
+def interrupt_on_sigterm() -> Iterator[None]:
+    """Takes SIGTERM as Ctrl-C, so that no half of a file is left behind."""
+
+    def interrupt(number, frame):
+        raise KeyboardInterrupt
+
+    previous = signal.signal(signal.SIGTERM, interrupt)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, previous)
+
+
+def write_all(
+    out: Path, plan: Plan, scenario: Scenario, failures: dict[str, str]
+) -> Path:
+    """Writes the table and the report of the runs that are there.
+
+    Args:
+        out: The campaign's folder.
+        plan: The campaign's.
+        scenario: What all runs have in common.
+        failures: Reason by the label of the run that failed.
+
+    Returns:
+        The report's path.
+    """
+    with Console(stderr=True).status("writing the report"):
+        results = make_results(plan, read_rows(out, plan))
+        write_results(out, results)
+        return write_campaign_report(
+            out,
+            plan=plan,
+            rows=results,
+            parameters=list_parameters(scenario, plan),
+            command=shlex.join(["tofssm", *sys.argv[1:]]),
+            failures=failures,
+        )
 
 
 def expand_studies(names: list[str]) -> list[str]:

@@ -1,9 +1,13 @@
 """Options of the command line that several commands share."""
 
+from collections.abc import Iterator
+import contextlib
 from pathlib import Path
 from typing import Annotated
 
 import typer
+
+from tofssm_drake.errors import UserError
 
 ScenarioFile = Annotated[
     Path | None,
@@ -27,3 +31,18 @@ HumanMotion = Annotated[
     ),
 ]
 Seed = Annotated[int | None, typer.Option(help="Seed of the sensors' errors.")]
+
+
+@contextlib.contextmanager
+def blame(option: dict[str, str]) -> Iterator[None]:
+    """Names the option where a setting is refused that came from one.
+
+    Args:
+        option: By the setting that a refusal begins with.
+    """
+    try:
+        yield
+    except UserError as error:
+        setting, colon, reason = str(error).partition(":")
+        name = option.get(setting, setting)
+        raise UserError(f"{name}{colon}{reason}") from None

@@ -105,7 +105,9 @@ def simulate(
     )
     require_drawable(graphviz)
     display = make_display() if meshcat or recording else None
-    workcell = make_workcell(scenario, meshcat=display)
+    option = {"sensors_per_ring": "--sensors-per-ring"}
+    with options.blame(option if sensors_per_ring is not None else {}):
+        workcell = make_workcell(scenario, meshcat=display)
     # Whatever a user can get wrong is known by now: nothing is written before.
     make_folder(out)
     if graphviz:
@@ -120,11 +122,11 @@ def simulate(
         {
             "scenario-text": scenario_text or None,
             "ssm": ssm and ssm.lower(),
-            "sensing": sensing,
+            "sensing": sensing and sensing.lower(),
             "sensors-per-ring": sensors_per_ring,
             "human-motion": human_motion,
             "seed": seed,
-            "duration": duration,
+            "duration": None if duration is None else f"{duration:g} s",
         },
     )
     samples.metadata |= {
@@ -133,19 +135,23 @@ def simulate(
         "command": shlex.join(["tofssm", *sys.argv[1:]]),
     }
     summary = summarize(scenario, samples, progress)
-    write_results(
-        samples, summary, out, recording="recording.html" if recording else None
-    )
-    if recording:
-        write_recording(
-            display,
-            out / "recording.html",
-            samples=samples,
-            title=f"tofssm_drake: {title}",
+    with Console(stderr=True).status("writing the report"):
+        write_results(
+            samples,
+            summary,
+            out,
+            recording="recording.html" if recording else None,
         )
-    else:
-        # One of an earlier run would be taken for this one's.
-        (out / "recording.html").unlink(missing_ok=True)
+        if recording:
+            write_recording(
+                display,
+                out / "recording.html",
+                samples=samples,
+                title=f"tofssm_drake: {title}",
+            )
+        else:
+            # One of an earlier run would be taken for this one's.
+            (out / "recording.html").unlink(missing_ok=True)
     tell(summary, out)
     return 130 if summary["interrupted"] else 0
 
@@ -203,17 +209,23 @@ def override(
             f"{', '.join(SENSINGS)}",
         )
         scenario.sensing = sensing.lower()
+    changed = {}
     if sensors_per_ring is not None:
         scenario.sensors_per_ring = sensors_per_ring
+        changed["sensors_per_ring"] = "--sensors-per-ring"
     if human_motion is not None:
         if not isinstance(scenario.human, BvhRecording):
             scenario.human = BvhRecording()
         scenario.human.filename = str(human_motion)
+        changed["human.filename"] = "--human-motion"
     if seed is not None:
         scenario.random_seed = seed
+        changed["random_seed"] = "--seed"
     if duration is not None:
         scenario.simulation_duration = duration
-    scenario.check()
+        changed["simulation_duration"] = "--duration"
+    with options.blame(changed):
+        scenario.check()
 
 
 def make_display() -> Meshcat:

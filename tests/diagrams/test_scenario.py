@@ -114,7 +114,7 @@ class TestLoad(unittest.TestCase):
         )
 
     def test_options_are_checked(self):
-        with self.assertRaisesRegex(UserError, "random_seed: -1"):
+        with self.assertRaisesRegex(UserError, "--seed: -1"):
             override(self.load(), seed=-1)
 
     def test_two_loads_share_nothing(self):

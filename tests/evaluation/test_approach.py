@@ -97,6 +97,18 @@ class TestApproach(unittest.TestCase):
         self.assertIn("above and below the plane of the elbow ring", self.text)
         self.assertIn("said stop 0.20 s later", self.text)
 
+    def test_behind_the_sensors(self):
+        """The ring's radius is 0.075 m: no angle to a beam means anything."""
+        run = _make_run(stop=3.8, elbow_due=3.6)
+        run["elbow_true_distance"][run["t"] >= 3.6 - 1e-9] = 0.05
+        approach = self._analyse(run)
+        self.assertEqual(approach.cause, "gap")
+        self.assertTrue(np.isnan(approach.rings[1].off_around))
+        words = "nearer to the link than the sensors"
+        # The cause, the approach and the view at the contact.
+        self.assertEqual(self.text.count(words), 3)
+        self.assertNotIn("nan", self.text)
+
     def test_seen_in_time(self):
         """Robot rests 0.2 s after the contact: 1.5 m/s ask 0.3 m more."""
         run = _make_run(stop=3.64, elbow_due=3.6)

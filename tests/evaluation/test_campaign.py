@@ -122,10 +122,10 @@ class TestFolder(unittest.TestCase):
 
     def test_the_same_plan_is_welcome(self):
         plan = make_plan(variants=["literal"])
-        mut.check_folder(self.folder, plan)
+        mut.enter_folder(self.folder, plan)
         self.assertFalse(self.folder.exists())
         mut.open_folder(self.folder, plan)
-        mut.check_folder(self.folder, make_plan(variants=["literal"]))
+        mut.enter_folder(self.folder, make_plan(variants=["literal"]))
 
     def test_a_plan_may_grow(self):
         mut.open_folder(self.folder, make_plan())
@@ -134,10 +134,10 @@ class TestFolder(unittest.TestCase):
             sensings=["tof", "ideal", "lidar"],
             variants=["literal"],
         )
-        mut.check_folder(self.folder, bigger)
+        mut.enter_folder(self.folder, bigger)
         mut.open_folder(self.folder, bigger)
         with self.assertRaises(UserError):
-            mut.check_folder(self.folder, make_plan())
+            mut.enter_folder(self.folder, make_plan())
 
     def test_another_plan_is_refused(self):
         mut.open_folder(self.folder, make_plan())
@@ -152,7 +152,7 @@ class TestFolder(unittest.TestCase):
             ({"seed": 1}, "seed: 0 then, 1 now"),
         ):
             with self.subTest(message), self.assertRaises(UserError) as caught:
-                mut.check_folder(self.folder, make_plan(**changes))
+                mut.enter_folder(self.folder, make_plan(**changes))
             text = str(caught.exception)
             self.assertIn(message, text)
             self.assertIn("another campaign", text)
@@ -163,7 +163,7 @@ class TestFolder(unittest.TestCase):
         for text in ("{", "[]", "{}", "3"):
             (self.folder / "campaign.json").write_text(text)
             with self.subTest(text), self.assertRaises(UserError) as caught:
-                mut.check_folder(self.folder, make_plan())
+                mut.enter_folder(self.folder, make_plan())
             self.assertIn("is no campaign's plan", str(caught.exception))
 
     def test_rows_come_back_as_they_were(self):

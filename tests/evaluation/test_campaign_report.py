@@ -267,6 +267,51 @@ class TestReport(unittest.TestCase):
         _, _, text = self.make(results=self.campaign.results)
         self.assertIn("In 1 of 24 runs the moving robot touched", text)
 
+    def test_one_contact_is_no_contacts(self):
+        for row in self.campaign.rows.values():
+            row["contacts_while_moving"] = 0.0
+        self.campaign.rows["tof-vo-2"]["contacts_while_moving"] = 1.0
+        _, _, text = self.make(results=self.campaign.results)
+        self.assertIn("touched the person (1 contact).", text)
+
+    def test_what_was_not_finished_is_told_by_cell(self):
+        for row in self.campaign.rows.values():
+            row |= {"finished": 1.0, "stop_due_share": 0.25}
+        self.assertNotIn("not finished when", self.make()[2])
+        for trial in (1, 2):
+            self.campaign.rows[f"lidar-vo-{trial}"] |= {
+                "finished": 0.0,
+                "stop_due_share": 0.7 + 0.06 * trial,
+            }
+        _, _, text = self.make(results=self.campaign.results)
+        self.assertIn("In 2 of 30 runs the task was not finished", text)
+        self.assertIn("was up: Lidar Vo 2 of 2 (79 %). In brackets", text)
+        self.assertNotIn("Ideal Vo 0 of", text)
+
+    def test_without_a_person(self):
+        self.campaign.rows["alone"]["task_time_s"] = 63.72
+        text = self.make(results=self.campaign.results)[2]
+        self.assertIn("Without a person the task takes 63.7 s.", text)
+        self.campaign.rows["alone"] |= {
+            "task_time_s": math.nan,
+            "simulated_s": 12.0,
+        }
+        text = self.make(results=self.campaign.results)[2]
+        self.assertIn("the task is not finished in the 12.0 s", text)
+        self.assertNotIn("takes \u2013", text)
+
+    def test_one_trial_decides_nothing(self):
+        plan = make_small_plan(1)
+        rows = make_rows(plan, make_values(self.campaign.run))
+        text = self.make(plan=plan, results=Results(make_results(plan, rows)))[
+            2
+        ]
+        self.assertIn("no claim of the paper can be decided", text)
+        self.assertNotIn("are reproduced", text)
+        self.assertNotIn("Why:", text)
+        self.assertIn("(none with one trial)", text)
+        self.assertNotIn("can be decided", self.make()[2])
+
     def test_nothing_came_out(self):
         _, _, text = self.make(results=Results([]), failures={"all": "broken"})
         self.assertIn("Of 0 claims", text)
@@ -336,6 +381,21 @@ class TestTables(unittest.TestCase):
         self.assertEqual(row[0], "Real Vr \u2212 Real Vo")
         self.assertEqual(row[1][0], ("+5.0 \u00b1 0.0", True))
         self.assertEqual(row[1][1], ("+0.0 \u00b1 0.0", False))
+
+    def test_only_vo_monitors_the_person(self):
+        campaign = _Campaign()
+        for row in campaign.rows.values():
+            row["shortfall_as_measured_p50_m"] = 0.1
+        cells = [
+            Cell(sensing="tof", configuration=c) for c in ("vo", "vr", "sm")
+        ]
+        table = mut.make_cell_table(campaign.results, cells, mut.AUDIT_METRICS)
+        labels = [label for label, _ in table["head"]]
+        column = labels.index("as measured: median")
+        texts = [texts[column] for _, texts in table["rows"]]
+        self.assertEqual(texts, ["0.10 \u00b1 0.00", "\u2013", "\u2013"])
+        walking_in = [texts[0] for _, texts in table["rows"]]
+        self.assertEqual(set(walking_in), {"0.20 \u00b1 0.00"})
 
     def test_a_study_is_told_by_its_cells(self):
         campaign = _Campaign(variants=["late"])

@@ -7,7 +7,7 @@ from synthetic_campaign import make_means, make_rows, make_small_plan
 from tofssm_drake.evaluation.campaign import make_results
 import tofssm_drake.evaluation.claims as mut
 from tofssm_drake.evaluation.results import Results
-from tofssm_drake.evaluation.statistics import Estimate
+from tofssm_drake.evaluation.statistics import Estimate, format_estimate
 
 _SENSINGS = ("tof", "ideal", "lidar")
 _CONFIGURATIONS = ("vo", "vr", "sm")
@@ -199,13 +199,11 @@ class TestRules(unittest.TestCase):
     def test_format(self):
         value = Estimate(mean=-0.1234, half_width=0.05, count=3)
         self.assertEqual(
-            mut.format_estimate(value, digits=2), "\u22120.12 \u00b1 0.05"
+            format_estimate(value, digits=2), "\u22120.12 \u00b1 0.05"
         )
         value = dc.replace(value, mean=0.5, half_width=float("nan"))
-        self.assertEqual(mut.format_estimate(value, sign=True), "+0.500")
-        self.assertEqual(
-            mut.format_estimate(dc.replace(value, count=0)), "\u2013"
-        )
+        self.assertEqual(format_estimate(value, sign=True), "+0.500")
+        self.assertEqual(format_estimate(dc.replace(value, count=0)), "\u2013")
 
 
 class TestClaims(unittest.TestCase):
@@ -250,11 +248,23 @@ class TestClaims(unittest.TestCase):
         self.assertEqual(
             [e.what for e in found.evidence],
             [
-                "Ideal Vo (paper: 0.009)",
-                "Real Vo (paper: 0.063)",
-                "Lidar Vo (paper: 0.128)",
+                "Ideal Vo (paper: 9)",
+                "Real Vo (paper: 63)",
+                "Lidar Vo (paper: 128)",
             ],
         )
+        self.assertEqual(found.unit, "mm")
+        self.assertAlmostEqual(found.evidence[1].estimate.mean, 63, delta=15)
+
+    def test_shares_are_told_in_percent(self):
+        results = make_results_of("productivity", by_sensing(0.6, 0.5, 0.2))
+        found = mut.claim_productivity_over_lidar(results)
+        self.assertEqual(found.unit, "percentage points")
+        self.assertAlmostEqual(found.evidence[0].estimate.mean, 40, delta=0.5)
+        means = {("tof16", c): 0.9 for c in ("vo", "vr", "sm")}
+        found = mut.claim_sixteen(make_results_of("detection_share", means))
+        self.assertEqual(found.unit, "percentage points")
+        self.assertAlmostEqual(found.evidence[0].estimate.mean, 90, delta=0.5)
 
     def test_why(self):
         """Told where a claim does not hold, with the studies that were run."""
@@ -272,11 +282,17 @@ class TestClaims(unittest.TestCase):
                         del rows[run.key]
             results = Results(make_results(plan, rows))
             why = mut.claim_rmse(results).why
-            self.assertEqual("+0.000 ± 0.000 m" in why, studied)
+            self.assertEqual("changes by +0 ± 0 mm" in why, studied)
             why = mut.claim_real_reacts_before_ideal(results).why
             self.assertEqual("that comes 0.1 s late" in why, studied)
         results = make_results_of("productivity", by_sensing(0.6, 0.5, 0.2))
         self.assertEqual(mut.claim_productivity_over_lidar(results).why, "")
+
+    def test_one_trial_explains_nothing(self):
+        for claim, metric, _, means in CASES:
+            with self.subTest(claim.__name__):
+                results = make_results_of(metric, means, trials=1)
+                self.assertEqual(claim(results).why, "")
 
     def test_all_averages_of_the_safety_metric_are_told(self):
         results = make_results_of(SAFETY, by_configuration(5.0, 4.0, 9.0))

@@ -306,6 +306,14 @@ class TestNeighbours(unittest.TestCase):
         _, off_beam = self._find(90, elevation=40, distance=10)
         self.assertAlmostEqual(off_beam, np.deg2rad(27.5), delta=0.01)
 
+    def test_behind_the_sensors(self):
+        """Nearer to the axis than they sit there is no angle to a beam."""
+        for distance, elevation in ((0.05, 0), (0.09, 40), (0.3, 80)):
+            _, off_beam = self._find(90, elevation, distance)
+            self.assertTrue(np.isnan(off_beam))
+        _, off_beam = self._find(90, distance=0.076)
+        self.assertAlmostEqual(off_beam, -np.deg2rad(12.5))
+
     @given(st.floats(-360, 360))
     def test_gap_of_eight(self, degrees):
         """Far out, gaps are 20 degrees wide: never more than 10 off."""

@@ -182,6 +182,24 @@ class TestWords(unittest.TestCase):
         self.assertEqual(mut.format_number(np.nan), "\u2013")
         self.assertEqual(mut.format_number(np.inf), "clear")
 
+    def test_a_minus_is_no_hyphen(self):
+        self.assertEqual(mut.format_number(-0.333, 2, "m"), "\u22120.33\u00a0m")
+
+    def test_why_a_task_was_not_finished(self):
+        run = make_run(10.0)
+        run["true_distance"][:] = 0.5
+        for share, told in ((0.7, True), (0.3, False)):
+            for ring in RINGS:
+                run[f"{ring}_true_distance"][:] = np.where(
+                    run["t"] < 10.0 * share, 0.5, 1.0
+                )
+            summary = calc_summary(run)
+            verdict = mut.make_verdict(summary, products=10)
+            text = " ".join(sentence for _, sentence in verdict)
+            self.assertIn("0 of 10 products were placed in the 10.0 s", text)
+            self.assertEqual("For 70 % of that time" in text, told)
+            self.assertEqual("at which this law stops" in text, told)
+
     def test_count_of(self):
         self.assertEqual(mut.count_of(0, "contact"), "no contacts")
         self.assertEqual(mut.count_of(1, "contact"), "1 contact")

@@ -71,6 +71,28 @@ class TestProductivity:
         assert row["productivity"] == pytest.approx(0.5)
 
 
+class TestLawDistances:
+    """What the law itself asked for, from hand-made columns."""
+
+    def test_stop_due_and_asked(self):
+        run = make_run(10.0)
+        t = run["t"]
+        run["robot_state"][:] = make_steps(
+            t, (0, 0), (0.04, 2), (2.0, 1), (3.0, 0), (5.0, 2)
+        )
+        run["base_state"][:] = run["robot_state"]
+        run["base_d_R"][:] = 0.9
+        run["base_d_C"][:] = np.where(t < 4.0, 0.6, 0.7)
+        run["base_true_distance"][:] = np.where(t < 7.5 - 1e-9, 0.7, 0.5)
+        row = mut.calc_run_metrics(run)
+        assert row["d_C_at_stop_m"] == pytest.approx(0.6)
+        assert row["d_R_at_reduce_m"] == pytest.approx(0.9)
+        running = 10.0 - 0.04
+        assert row["stopped_share"] == pytest.approx(2.0 / running, abs=1e-3)
+        # Due is what is at or under d_C: from 4 s on.
+        assert row["stop_due_share"] == pytest.approx(6.0 / running, abs=2e-3)
+
+
 class TestReactions:
     """Hand-made logs whose events are known."""
 

@@ -58,6 +58,8 @@ def wheel(tmp_path_factory):
         check=False,
     )
     assert done.returncode == 0, done.stdout + done.stderr
+    # As it says of folders that are not named in pyproject.toml.
+    assert "absent from" not in done.stdout + done.stderr
     (path,) = folder.glob("*.whl")
     return path
 

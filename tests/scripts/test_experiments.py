@@ -15,6 +15,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from tofssm_drake.diagrams import campaign_run
+from tofssm_drake.evaluation import campaign_report
 from tofssm_drake.evaluation.samples import read_samples
 import tofssm_drake.scripts.experiments as mut
 import tofssm_drake.scripts.main as main
@@ -147,6 +148,7 @@ class TestGoingOn:
         torn = out / "runs" / "lidar-vo-1"
         (torn / "row.parquet").unlink()
         (torn / "samples.parquet").write_bytes(b"half")
+        (torn / ".scans.parquet.a1b2.part").write_bytes(b"half")
         shutil.rmtree(out / "runs" / "alone")
         kept = out / "runs" / "ideal-vo-1" / "row.parquet"
         before = kept.stat().st_mtime_ns
@@ -209,6 +211,29 @@ class TestGoingOn:
         assert run_in_process(*SMALL, "--out", out) == 0
         assert [path.stat().st_mtime_ns for path in rows] == before
         check_equal(out, whole)
+
+    def test_terminated_while_the_report_is_written(
+        self, whole, tmp_path, monkeypatch, capfd
+    ):
+        out = tmp_path / "out"
+        shutil.copytree(whole, out)
+        for path in ("figures/fig10_productivity_safety.png", "report.html"):
+            (out / path).unlink()
+        before = list_tree(out)
+        make = campaign_report.render_page
+
+        def terminate(*arguments, **values):
+            os.kill(os.getpid(), signal.SIGTERM)
+            return make(*arguments, **values)
+
+        # The figures are drawn by then.
+        monkeypatch.setattr(campaign_report, "render_page", terminate)
+        monkeypatch.setattr(campaign_report, "list_figures", lambda *_: {})
+        assert run_in_process(*SMALL, "--out", out, report=True) == 130
+        assert "the same command goes on from here" in capfd.readouterr().err
+        assert list_tree(out) == before
+        # The handler is gone with the command.
+        assert signal.getsignal(signal.SIGTERM) == signal.SIG_DFL
 
     def test_interrupted(self, tmp_path, monkeypatch, capfd):
         def interrupt(folder, run, row, files):
@@ -296,7 +321,7 @@ BAD_INPUT = {
     "trials": (("--trials", "0"), "--trials: 0 must be from 1 to 1000"),
     "seed": (("--seed", "-3"), "--seed: -3 must be from 0"),
     "workers": (("--workers", "0"), "--workers: 0 must be from 1"),
-    "duration": (("--duration", "0"), "simulation_duration: 0"),
+    "duration": (("--duration", "0"), "--duration: 0.0 must"),
     "text": (("--scenario-text", "{ssm: {C_dc: 1}}"), "did you mean 'C_dC'?"),
     "fixed": (("--scenario-text", "{random_seed: 5}"), "random_seed: is deci"),
     "nobody": (("--scenario-text", "{human: !NoHuman {}}"), "human: is decid"),

@@ -320,10 +320,10 @@ BAD_INPUT = {
         "program.pick_center[0]: must be a finite number, not '.nan'",
     ),
     "inf": (_text("{program: {base_jerk: .inf}}"), "base_jerk: must be a fin"),
-    "nan_duration": (("--duration", "nan"), "simulation_duration: nan"),
-    "duration_0": (("--duration", "0"), "simulation_duration: 0"),
-    "negative_seed": (("--seed", "-1"), "random_seed: -1"),
-    "huge_seed": (("--seed", "1" + 30 * "0"), "random_seed: 1000"),
+    "nan_duration": (("--duration", "nan"), "--duration: nan"),
+    "duration_0": (("--duration", "0"), "--duration: 0"),
+    "negative_seed": (("--seed", "-1"), "--seed: -1"),
+    "huge_seed": (("--seed", "1" + 30 * "0"), "--seed: 1000"),
     "seed_is_no_number": (("--seed", "x"), "--seed"),
     "yaml_syntax": (_text("{ssm: ["), "--scenario-text:1: not YAML"),
     "yaml_syntax_in_a_file": (
@@ -371,7 +371,7 @@ BAD_INPUT = {
     ),
     "nine_sensors": (
         ("--sensors-per-ring", "9"),
-        "sensors_per_ring: no ring model with 9 sensors; there are 8, 16",
+        "--sensors-per-ring: no ring model with 9 sensors; there are 8, 16",
     ),
     "unknown_option": (("--sede", "3"), "No such option: --sede"),
     "no_value": (("--seed",), "--seed"),

@@ -46,7 +46,8 @@ class RingApproach:
     """Sensors between which the person was most of that time."""
     off_around: float
     """How far outside the nearest beam the person was around the link, rad,
-    in the middle of that time; negative: inside; NaN: geometry unknown."""
+    in the middle of that time; negative: inside; NaN: geometry unknown, or
+    nearer to the link's axis than the sensors sit, which look outwards."""
     off_along: float
     """The same along the link."""
     seen: bool
@@ -105,12 +106,16 @@ def find_neighbours(
     Returns:
         ((j, k), off_beam): the neighbouring sensors, j before k in the sense
         of growing azimuth, and the angle by which the point is outside the
-        nearest beam's cone, seen from that sensor, rad; negative inside.
+        nearest beam's cone, seen from that sensor, rad; negative inside; NaN
+        for a point nearer to the link's axis than the sensors sit: it is
+        behind all of them.
     """
     turn = 2 * np.pi
     after = np.mod(beam_azimuth - azimuth, turn)
     before = np.mod(azimuth - beam_azimuth, turn)
     sensors = int(np.argmin(before)), int(np.argmin(after))
+    if distance * np.cos(elevation) < radius:
+        return sensors, np.nan
     point = distance * np.array(
         [
             np.cos(elevation) * np.cos(azimuth),
@@ -155,11 +160,13 @@ def split_offset(
     Returns:
         (around, along): angles at the sensor whose beam points nearest in
         azimuth, around the link and along it, less half the cone, rad;
-        negative: inside in that direction.
+        negative: inside in that direction; NaN as for `find_neighbours`.
     """
     turn = np.mod(azimuth - beam_azimuth + np.pi, 2 * np.pi) - np.pi
     turn = turn[np.argmin(np.abs(turn))]
     level = distance * np.cos(elevation)
+    if level < radius:
+        return np.nan, np.nan
     out = level * np.cos(turn) - radius
     side = level * np.sin(turn)
     up = distance * np.sin(elevation)
@@ -179,6 +186,11 @@ def find_due(samples: Samples, ring: str) -> np.ndarray:
     """Returns at which ticks a ring should stop the robot, by the truth."""
     d_C = samples[f"{ring}_d_C"]
     return np.isfinite(d_C) & (samples[f"{ring}_true_distance"] <= d_C)
+
+
+def find_any_due(samples: Samples) -> np.ndarray:
+    """Returns at which ticks any ring should stop the robot, by the truth."""
+    return np.any([find_due(samples, ring) for ring in samples.rings], axis=0)
 
 
 def _find_window(samples, first):
@@ -271,7 +283,12 @@ def find_approach(samples: Samples, first: int) -> Approach:
     else:
         ring = culprit.ring
         late = max(stop - culprit.due, 0.0)
-        is_outside = culprit.off_around > 0 or culprit.off_along > 0
+        is_outside = (
+            culprit.off_around > 0
+            or culprit.off_along > 0
+            # Behind the sensors.
+            or (culprit.sensors is not None and np.isnan(culprit.off_around))
+        )
         if late <= USUAL_DELAY:
             cause = "short"
         elif np.isinf(stop) and not any(r.seen for r in rings):
@@ -324,7 +341,7 @@ def count_late_stops(samples: Samples, start: int) -> int:
     """
     t = samples["t"]
     running_on = (
-        np.any([find_due(samples, r) for r in samples.rings], axis=0)
+        find_any_due(samples)
         & (samples["robot_state"] != RobotState.STOP)
         & (samples["speed_fraction"] >= STANDING)
     )

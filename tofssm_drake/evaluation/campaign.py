@@ -24,7 +24,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from tofssm_drake.errors import UserError, require
-from tofssm_drake.evaluation.samples import write_atomically
+from tofssm_drake.evaluation.samples import PARTS, write_atomically
 from tofssm_drake.ssm.config import CONFIGURATIONS
 
 SENSINGS = ("tof", "ideal", "lidar", "tof16")
@@ -44,6 +44,18 @@ class Variant:
     configurations: tuple[str, ...]
     changes: str
     """The changed settings of the scenario, as YAML."""
+
+
+def _make_lidar_variant(key, rule, label, question):
+    """Another way to take the lidar's distance, with every configuration."""
+    return Variant(
+        key=key,
+        label=label,
+        question=question,
+        sensings=("lidar",),
+        configurations=CONFIGURATIONS,
+        changes=f"{{lidar_separation: {{distance_rule: {rule}}}}}",
+    )
 
 
 VARIANTS = {
@@ -84,23 +96,19 @@ VARIANTS = {
             configurations=CONFIGURATIONS,
             changes="{ideal: {latency: 0.1}, ssm: {deadline: 0.2}}",
         ),
-        Variant(
-            key="subtracted",
-            label="r_o subtracted",
-            question="What if the workspace radius is subtracted from the "
-            "lidar's distance instead of added to the law's?",
-            sensings=("lidar",),
-            configurations=CONFIGURATIONS,
-            changes="{lidar_separation: {distance_rule: subtracted}}",
+        _make_lidar_variant(
+            "subtracted",
+            "subtracted",
+            "r_o subtracted",
+            "What if the workspace radius is subtracted from the lidar's "
+            "distance instead of added to the law's?",
         ),
-        Variant(
-            key="piecewise",
-            label="paper's piecewise rule",
-            question="What does the jump of the paper's Eq. 11 at the border "
-            "of the workspace do?",
-            sensings=("lidar",),
-            configurations=CONFIGURATIONS,
-            changes="{lidar_separation: {distance_rule: literal}}",
+        _make_lidar_variant(
+            "piecewise",
+            "literal",
+            "paper's piecewise rule",
+            "What does the jump of the paper's Eq. 11 at the border of the "
+            "workspace do?",
         ),
     )
 }
@@ -386,8 +394,12 @@ def find_change(old: dict, new: dict) -> str | None:
     return None
 
 
-def check_folder(folder: Path, plan: Plan) -> None:
-    """Raises UserError if another campaign is in the folder."""
+def enter_folder(folder: Path, plan: Plan) -> None:
+    """Tidies up what a kill has left in the folder of this campaign.
+
+    Raises:
+        UserError: Another campaign is in the folder.
+    """
     path = Path(folder) / _PLAN_FILE
     if not path.exists():
         return
@@ -401,6 +413,9 @@ def check_folder(folder: Path, plan: Plan) -> None:
         f"--out: {folder} holds another campaign ({difference}); give "
         "another folder, or the same options and perhaps more trials or cells",
     )
+    # What a kill left of files that were being written.
+    for half in Path(folder).rglob(PARTS):
+        half.unlink(missing_ok=True)
 
 
 def open_folder(folder: Path, plan: Plan) -> None:

@@ -55,7 +55,7 @@ PAPER_RMSE = {"ideal": 0.009, "tof": 0.063, "lidar": 0.128}
 """Errors that the paper reports, m."""
 
 _WIDE, _NARROW = 10.6, 4.3
-_SPAN = 30.0
+SPAN = 30.0
 """How much of a run is shown where all of it would be too dense, s."""
 
 
@@ -72,7 +72,7 @@ def _list_plain(results):
     return [cell for cell in results.cells if not cell.variant]
 
 
-def find_window(samples: Samples, span: float = _SPAN) -> slice:
+def find_window(samples: Samples, span: float = SPAN) -> slice:
     """Finds the stretch of a run in which the person is nearest on average.
 
     Args:

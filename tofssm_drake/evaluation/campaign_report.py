@@ -11,6 +11,7 @@ from tofssm_drake.evaluation.campaign import (
     Plan,
     get_run_folder,
 )
+from tofssm_drake.evaluation.campaign_figures import CONFIGURATION_NAME
 from tofssm_drake.evaluation.claims import (
     NOT_REPRODUCED,
     NOT_RUN,
@@ -18,16 +19,19 @@ from tofssm_drake.evaluation.claims import (
     UNDECIDED,
     Claim,
     check_claims,
-    format_estimate,
 )
 from tofssm_drake.evaluation.page import Picture, render_page
+from tofssm_drake.evaluation.report import count_of
 from tofssm_drake.evaluation.results import Results
 from tofssm_drake.evaluation.samples import (
     Samples,
     read_samples,
     write_atomically,
 )
-from tofssm_drake.evaluation.statistics import calc_rate_bound
+from tofssm_drake.evaluation.statistics import (
+    calc_rate_bound,
+    format_estimate,
+)
 
 _NONE = "\u2013"
 _MARK = {
@@ -49,6 +53,8 @@ class Metric:
     unit: str
     digits: int = 2
     scale: float = 1.0
+    configurations: tuple[str, ...] = tuple(CONFIGURATION_NAME)
+    """Those for which it means something; the others have a dash."""
 
 
 METRICS = {
@@ -152,32 +158,31 @@ METRICS = {
 }
 """The paper's evaluation metric (its first table): criteria and columns."""
 
+
+def _make_shortfall_metrics(name, label, **options):
+    """Columns of a shortfall: name in the results, label of the median."""
+    columns = (
+        ("p50_m", label, {"unit": "m"}),
+        ("max_m", "worst", {"unit": "m"}),
+        (
+            "share",
+            "time too short",
+            {"unit": "%", "digits": 0, "scale": 100.0},
+        ),
+    )
+    return tuple(
+        Metric(
+            name=f"shortfall_{name}_{suffix}", label=text, **about, **options
+        )
+        for suffix, text, about in columns
+    )
+
+
 AUDIT_METRICS = (
-    Metric(
-        name="shortfall_walking_in_p50_m",
-        label="shortfall, walking in: median",
-        unit="m",
-    ),
-    Metric(name="shortfall_walking_in_max_m", label="worst", unit="m"),
-    Metric(
-        name="shortfall_walking_in_share",
-        label="time too short",
-        unit="%",
-        digits=0,
-        scale=100.0,
-    ),
-    Metric(
-        name="shortfall_as_measured_p50_m",
-        label="as measured: median",
-        unit="m",
-    ),
-    Metric(name="shortfall_as_measured_max_m", label="worst", unit="m"),
-    Metric(
-        name="shortfall_as_measured_share",
-        label="time too short",
-        unit="%",
-        digits=0,
-        scale=100.0,
+    *_make_shortfall_metrics("walking_in", "shortfall, walking in: median"),
+    # Who does not monitor the person's speed may not count on it.
+    *_make_shortfall_metrics(
+        "as_measured", "as measured: median", configurations=("vo",)
     ),
     Metric(
         name="inside_protective_s",
@@ -232,7 +237,12 @@ def make_cell_table(results: Results, cells, metrics) -> dict:
         "rows": [
             (
                 cell,
-                [_format(results.estimate(cell, m.name), m) for m in metrics],
+                [
+                    _format(results.estimate(cell, m.name), m)
+                    if cell.configuration in m.configurations
+                    else _NONE
+                    for m in metrics
+                ],
             )
             for cell in cells
         ],
@@ -267,12 +277,9 @@ def make_difference_table(results: Results, pairs, metrics) -> dict:
 
 
 def _format(value, metric, *, sign=False):
-    scaled = dc.replace(
-        value,
-        mean=value.mean * metric.scale,
-        half_width=value.half_width * metric.scale,
+    return format_estimate(
+        value.scale(metric.scale), digits=metric.digits, sign=sign
     )
-    return format_estimate(scaled, digits=metric.digits, sign=sign)
 
 
 def list_pairs(results: Results) -> dict[str, list[tuple[Cell, Cell]]]:
@@ -315,7 +322,6 @@ def list_pairs(results: Results) -> dict[str, list[tuple[Cell, Cell]]]:
 
 def make_claim_row(claim: Claim) -> dict:
     """Returns what the report shows of a claim."""
-    digits = 3
     return {
         "text": claim.text,
         "verdict": claim.verdict,
@@ -332,7 +338,7 @@ def make_claim_row(claim: Claim) -> dict:
             {
                 "what": e.what,
                 "value": format_estimate(
-                    e.estimate, digits=digits, sign="\u2212" in e.what
+                    e.estimate, digits=claim.digits, sign="\u2212" in e.what
                 ),
                 "verdict": e.verdict,
                 "mark": _MARK[e.verdict],
@@ -361,14 +367,25 @@ def make_verdict(
         for kind in (REPRODUCED, NOT_REPRODUCED, UNDECIDED, NOT_RUN)
     }
     judged = len(found) - count[NOT_RUN]
-    verdict.append(
-        (
-            "note",
-            f"Of {judged} claims of the paper that this campaign can judge, "
-            f"{count[REPRODUCED]} are reproduced, {count[NOT_REPRODUCED]} are "
-            f"not, and {count[UNDECIDED]} are undecided.",
+    if len(results.trials) == 1:
+        verdict.append(
+            (
+                "note",
+                "One trial has no confidence interval: no claim of the paper "
+                "can be decided, whatever the numbers look like. The option "
+                "--trials 5 adds trials to this campaign.",
+            )
         )
-    )
+    else:
+        verdict.append(
+            (
+                "note",
+                f"Of {judged} claims of the paper that this campaign can "
+                f"judge, {count[REPRODUCED]} are reproduced, "
+                f"{count[NOT_REPRODUCED]} are not, and {count[UNDECIDED]} are "
+                "undecided.",
+            )
+        )
     runs = results.count_runs()
     plain = [cell for cell in results.cells if not cell.variant]
     contacts = results.total("contacts_while_moving", plain)
@@ -383,7 +400,8 @@ def make_verdict(
             (
                 "bad",
                 f"In {with_contact} of {plain_runs} runs the moving robot "
-                f"touched the person ({contacts:.0f} contacts). Runs with a "
+                f"touched the person ({count_of(round(contacts), 'contact')}). "
+                "Runs with a "
                 f"contact: {_count_by_configuration(results, plain)}.",
             )
         )
@@ -403,7 +421,10 @@ def make_verdict(
             (
                 "note",
                 f"In {unfinished:.0f} of {runs} runs the task was not "
-                "finished when the time was up; their productivity is that "
+                "finished when the time was up: "
+                f"{_describe_unfinished(results)}. In brackets, for how much "
+                "of the time the person was truly within the distance at "
+                "which the law stops the robot. Their productivity is that "
                 "of the part that was done.",
             )
         )
@@ -418,10 +439,26 @@ def make_verdict(
     return verdict
 
 
+def _describe_unfinished(results):
+    """Tells by cell what was not finished, and for how long a stop was due."""
+    parts = []
+    for cell in results.cells:
+        finished = results.values(cell, "finished")
+        undone = sum(value == 0.0 for value in finished.values())
+        if not undone:
+            continue
+        text = f"{cell.label} {undone} of {len(finished)}"
+        due = results.estimate(cell, "stop_due_share")
+        if due.count:
+            text += f" ({100 * due.mean:.0f} %)"
+        parts.append(text)
+    return ", ".join(parts)
+
+
 def _count_by_configuration(results, cells):
     """Returns how many runs had a contact, by configuration."""
     parts = []
-    for c, name in campaign_figures.CONFIGURATION_NAME.items():
+    for c, name in CONFIGURATION_NAME.items():
         values = [
             value
             for cell in cells
@@ -569,23 +606,20 @@ def write_campaign_report(
     results = Results(rows)
     samples = read_first_runs(folder, plan)
     drawn = list_figures(results, samples)
-    where = Path(folder) / "figures"
-    where.mkdir(exist_ok=True)
-    pictures = {}
+    pictures, contents = {}, {}
     for name, (make, description, arguments) in drawn.items():
         figure = make(*arguments)
-        svg, png = figures.to_svg(figure), figures.to_png(figure)
+        svg = figures.to_svg(figure)
+        # Where everything goes is known by now, and a third of the work.
+        figure.set_layout_engine("none")
+        png = figures.to_png(figure)
         pictures[name] = Picture(
             wide=figures.encode_svg(svg),
             narrow=figures.to_data_uri(make(*arguments, narrow=True)),
             description=description,
         )
-        write_atomically(
-            where / f"{name}.svg", lambda p, svg=svg: p.write_text(svg)
-        )
-        write_atomically(
-            where / f"{name}.png", lambda p, png=png: p.write_bytes(png)
-        )
+        contents[f"{name}.svg"] = svg.encode()
+        contents[f"{name}.png"] = png
     page = make_campaign_report(
         plan=plan,
         results=results,
@@ -595,6 +629,13 @@ def write_campaign_report(
         command=command,
         failures=failures or {},
     )
+    # Nothing is written before all is made.
+    where = Path(folder) / "figures"
+    where.mkdir(exist_ok=True)
+    for name, content in contents.items():
+        write_atomically(
+            where / name, lambda p, content=content: p.write_bytes(content)
+        )
     path = Path(folder) / "report.html"
     write_atomically(path, lambda p: p.write_text(page, "utf-8"))
     return path
@@ -661,7 +702,8 @@ def make_campaign_report(
         },
         studies=list(VARIANTS.values()),
         people=_make_people(plan),
-        alone=_format_alone(results),
+        alone=_describe_alone(results),
+        span=campaign_figures.SPAN,
         versions=plan.versions,
         command=command,
         seed=plan.seed,
@@ -669,11 +711,17 @@ def make_campaign_report(
     )
 
 
-def _format_alone(results):
+def _describe_alone(results):
+    """Tells what the run without a person took; empty if it is missing."""
     if results.alone is None:
-        return None
+        return ""
     time = results.alone["task_time_s"]
-    return f"{time:.1f} s" if math.isfinite(time) else _NONE
+    if math.isfinite(time):
+        return f"Without a person the task takes {time:.1f} s."
+    return (
+        "Without a person the task is not finished in the "
+        f"{results.alone['simulated_s']:.1f} s that were simulated."
+    )
 
 
 def _make_people(plan):

@@ -17,9 +17,14 @@ it. The rules are the same for all and were fixed before any run:
 
 from collections.abc import Callable
 import dataclasses as dc
-import math
 
-from tofssm_drake.evaluation.campaign import Cell
+from tofssm_drake.evaluation import explanations
+from tofssm_drake.evaluation.explanations import (
+    CONFIGURATIONS,
+    SENSINGS,
+    make_cell,
+    make_cells,
+)
 from tofssm_drake.evaluation.results import Results
 from tofssm_drake.evaluation.statistics import Estimate
 
@@ -37,9 +42,6 @@ SAFETY = {
     "safety_median_m2_per_mps": "median",
 }
 """The three averages of the safety metric; the first one decides."""
-
-_SENSINGS = ("tof", "ideal", "lidar")
-_CONFIGURATIONS = ("vo", "vr", "sm")
 
 
 @dc.dataclass(frozen=True, kw_only=True)
@@ -64,12 +66,15 @@ class Claim:
     verdict: str
     """REPRODUCED, NOT_REPRODUCED, UNDECIDED or NOT_RUN."""
     unit: str
-    """Of the evidence; empty: a ratio."""
+    """Of the evidence."""
     evidence: tuple[Evidence, ...] = ()
+    digits: int = 3
+    """Of the evidence, after the decimal point."""
     note: str = ""
     """What else one has to know."""
     why: str = ""
-    """Why it is not reproduced, as far as the results tell; empty unless so."""
+    """Why it is not reproduced or undecided, as far as the results tell; empty
+    unless so, and where there are too few trials to say anything."""
 
 
 def judge_positive(difference: Estimate) -> str:
@@ -103,11 +108,7 @@ def combine(verdicts: list[str]) -> str:
     return REPRODUCED if verdicts else NOT_RUN
 
 
-def _cell(sensing, configuration):
-    return Cell(sensing=sensing, configuration=configuration)
-
-
-def _compare(results, metric, pairs, *, least=False):
+def _compare(results, metric, pairs, *, least=False, scale=1.0):
     """Evidence that the first of each pair has more of the metric.
 
     Args:
@@ -115,12 +116,13 @@ def _compare(results, metric, pairs, *, least=False):
         metric: Column.
         pairs: (first, second) cells.
         least: Claims that the first has less instead.
+        scale: From the column's unit to the claim's.
     """
     evidence = []
     for first, second in pairs:
         if least:
             first, second = second, first
-        difference = results.difference(first, second, metric)
+        difference = results.difference(first, second, metric).scale(scale)
         evidence.append(
             Evidence(
                 what=f"{first.label} \u2212 {second.label}",
@@ -131,28 +133,25 @@ def _compare(results, metric, pairs, *, least=False):
     return evidence
 
 
-def _claim(key, text, unit, evidence, note="", why=""):
+def _claim(key, text, unit, evidence, note="", why="", digits=3):
     verdict = combine([e.verdict for e in evidence])
+    is_open = verdict in (NOT_REPRODUCED, UNDECIDED)
+    is_known = any(e.estimate.count > 1 for e in evidence)
     return Claim(
         key=key,
         text=text,
         verdict=verdict,
         unit=unit,
         evidence=tuple(evidence),
+        digits=digits,
         note=note,
-        why=why if verdict in (NOT_REPRODUCED, UNDECIDED) else "",
+        why=why if is_open and is_known else "",
     )
 
 
-def _list_means(results, metric, cells, *, digits=2, scale=1.0):
-    """Returns `Real Vo 0.53, ...` of the cells that were run."""
-    parts = []
-    for cell in cells:
-        value = results.estimate(cell, metric)
-        if value.count:
-            mean = f"{scale * value.mean:.{digits}f}".replace("-", "\u2212")
-            parts.append(f"{cell.label} {mean}")
-    return ", ".join(parts)
+def _find_cells(pairs):
+    """Returns the cells of pairs in the order of the tables."""
+    return [c for c in make_cells() if any(c in pair for pair in pairs)]
 
 
 def _claim_safety(results, key, text, pairs, *, least=False, why=""):
@@ -166,27 +165,69 @@ def _claim_safety(results, key, text, pairs, *, least=False, why=""):
         )
         others.append(f"by the {SAFETY[metric]}: {verdict}")
     note = f"By the mean over the samples. {'; '.join(others).capitalize()}."
+    cells = _find_cells(pairs)
+    why = explanations.join(
+        explanations.explain_standing(results, cells, metrics[0]),
+        why,
+        explanations.explain_studies(results, metrics[0]),
+    )
     return _claim(key, text, "m\u00b2/(m/s)", evidence, note, why)
 
 
-def _explain_slow_lidar(results):
-    """Tells what a robot that mostly stands does to the safety metric."""
-    stopped = _list_means(
-        results,
-        "stopped_s",
-        [_cell(s, "vo") for s in _SENSINGS],
-        digits=0,
-    )
-    return (
-        "The metric divides by the tool speed: who keeps the robot slow or "
-        f"standing scores high. Time stopped per run (s): {stopped}."
+def _claim_productivity(results, key, text, pairs):
+    """A claim on productivity, with the time that is lost."""
+    cells = _find_cells(pairs)
+    return _claim(
+        key,
+        text,
+        "percentage points",
+        _compare(results, "productivity", pairs, scale=100.0),
+        why=explanations.join(
+            explanations.explain_times(results, cells),
+            explanations.explain_studies(
+                results, "productivity", digits=1, scale=100.0
+            ),
+        ),
+        digits=1,
     )
 
 
-def _about(results, metric, targets):
+def _claim_separation(results, key, text, metric, target, asked):
+    """A claim on the separation of Real and Ideal at events.
+
+    Args:
+        results: Of the campaign.
+        key: Of the claim.
+        text: Of the claim.
+        metric: Column of the separation.
+        target: What the paper reports, m.
+        asked: Name and column of the distance that the law asks for.
+    """
+    cells = make_cells(("tof", "ideal"))
+    return _claim(
+        key,
+        text,
+        "m",
+        _about(results, metric, [(cell, target) for cell in cells]),
+        why=explanations.join(
+            explanations.explain_law_distances(results, *asked, cells),
+            explanations.explain_studies(results, metric),
+        ),
+    )
+
+
+def _about(results, metric, targets, *, scale=1.0):
+    """Evidence that cells have about what the paper reports.
+
+    Args:
+        results: Of the campaign.
+        metric: Column.
+        targets: (cell, value in the claim's unit) pairs.
+        scale: From the column's unit to the claim's.
+    """
     evidence = []
     for cell, target in targets:
-        value = results.estimate(cell, metric)
+        value = results.estimate(cell, metric).scale(scale)
         evidence.append(
             Evidence(
                 what=f"{cell.label} (paper: {target:g})",
@@ -197,42 +238,29 @@ def _about(results, metric, targets):
     return evidence
 
 
-def _explain_errors(results):
-    """Tells where the errors come from, with the study if any."""
-    text = (
-        "Three link centres can not stand for the robot's whole surface: the "
-        "Ideal distance, which has no sensor error, errs by as much as the "
-        "nearest part is away from a link's centre (hand, gripper, forearm's "
-        "ends). The lidar's distance is that from the base, right only while "
-        "the arm points at the person."
-    )
-    exact = Cell(sensing="tof", configuration="vo", variant="exact")
-    value = results.difference(
-        exact, _cell("tof", "vo"), "distance_rmse_surface_m"
-    )
-    if value.count:
-        change = format_estimate(value, sign=True)
-        text += f" Without any sensor error the rings' changes by {change} m."
-    return text
+_AT_STOP = ("d_C at the stops", "d_C_at_stop_m")
+_AT_REDUCE = ("d_R at these changes", "d_R_at_reduce_m")
 
 
 def claim_rmse(results: Results) -> Claim:
     """Fig. 9: errors of the distances."""
-    targets = {"ideal": 0.009, "tof": 0.063, "lidar": 0.128}
+    targets = {"ideal": 9.0, "tof": 63.0, "lidar": 128.0}
     return _claim(
         "rmse",
         "The minimum distance errs by 9 mm (Ideal), 63 mm (ToF rings) and "
         "128 mm (Lidar) RMSE against the ground truth.",
-        "m",
+        "mm",
         _about(
             results,
             "distance_rmse_surface_m",
-            [(_cell(s, "vo"), target) for s, target in targets.items()],
+            [(make_cell(s, "vo"), target) for s, target in targets.items()],
+            scale=1000.0,
         ),
         "Distances with the radius of what they are measured from taken off, "
         "in configuration Vo. The distance from a link's centre to a surface "
         "can not be 9 mm from that between two surfaces.",
-        why=_explain_errors(results),
+        why=explanations.explain_errors(results),
+        digits=0,
     )
 
 
@@ -241,55 +269,50 @@ def claim_rmse_order(results: Results) -> Claim:
     return _claim(
         "rmse order",
         "Ideal errs least and the Lidar most.",
-        "m",
+        "mm",
         _compare(
             results,
             "distance_rmse_surface_m",
             [
                 pair
-                for c in _CONFIGURATIONS
+                for c in CONFIGURATIONS
                 for pair in (
-                    (_cell("lidar", c), _cell("tof", c)),
-                    (_cell("tof", c), _cell("ideal", c)),
+                    (make_cell("lidar", c), make_cell("tof", c)),
+                    (make_cell("tof", c), make_cell("ideal", c)),
                 )
             ],
+            scale=1000.0,
         ),
+        why=explanations.explain_errors(results),
+        digits=0,
     )
 
 
 def claim_productivity_over_lidar(results: Results) -> Claim:
     """Fig. 10: on-robot sensing costs less time."""
-    return _claim(
+    return _claim_productivity(
+        results,
         "productivity: sensing",
         "Real and Ideal are more productive than the Lidar.",
-        "",
-        _compare(
-            results,
-            "productivity",
-            [
-                (_cell(s, c), _cell("lidar", c))
-                for s in ("tof", "ideal")
-                for c in _CONFIGURATIONS
-            ],
-        ),
+        [
+            (make_cell(s, c), make_cell("lidar", c))
+            for s in ("tof", "ideal")
+            for c in CONFIGURATIONS
+        ],
     )
 
 
 def claim_vr_most_productive(results: Results) -> Claim:
     """Fig. 10: the most productive configuration."""
-    return _claim(
+    return _claim_productivity(
+        results,
         "productivity: Vr",
         "Vr is the most productive configuration of Real and of Ideal.",
-        "",
-        _compare(
-            results,
-            "productivity",
-            [
-                (_cell(s, "vr"), _cell(s, c))
-                for s in ("tof", "ideal")
-                for c in ("vo", "sm")
-            ],
-        ),
+        [
+            (make_cell(s, "vr"), make_cell(s, c))
+            for s in ("tof", "ideal")
+            for c in ("vo", "sm")
+        ],
     )
 
 
@@ -300,22 +323,11 @@ def claim_vr_less_safe(results: Results) -> Claim:
         "safety: Vr",
         "Vr is the least safe configuration of Real and of Ideal.",
         [
-            (_cell(s, "vr"), _cell(s, c))
+            (make_cell(s, "vr"), make_cell(s, c))
             for s in ("tof", "ideal")
             for c in ("vo", "sm")
         ],
         least=True,
-        why=(
-            "Vr and SM differ by less than the trials do. Time stopped per "
-            "run (s): "
-            + _list_means(
-                results,
-                "stopped_s",
-                [_cell(s, c) for s in ("tof", "ideal") for c in ("vr", "sm")],
-                digits=0,
-            )
-            + "."
-        ),
     )
 
 
@@ -326,12 +338,11 @@ def claim_vo_ideal_safest(results: Results) -> Claim:
         "safety: Ideal Vo",
         "Vo with the Ideal distance is the safest of the nine.",
         [
-            (_cell("ideal", "vo"), _cell(s, c))
-            for s in _SENSINGS
-            for c in _CONFIGURATIONS
+            (make_cell("ideal", "vo"), make_cell(s, c))
+            for s in SENSINGS
+            for c in CONFIGURATIONS
             if (s, c) != ("ideal", "vo")
         ],
-        why=_explain_slow_lidar(results),
     )
 
 
@@ -341,7 +352,7 @@ def claim_vo_safer_than_vr(results: Results) -> Claim:
         results,
         "safety: Vo over Vr",
         "With each sensing Vo is safer than Vr.",
-        [(_cell(s, "vo"), _cell(s, "vr")) for s in _SENSINGS],
+        [(make_cell(s, "vo"), make_cell(s, "vr")) for s in SENSINGS],
     )
 
 
@@ -352,12 +363,11 @@ def claim_lidar_less_safe(results: Results) -> Claim:
         "safety: Lidar",
         "The Lidar is less safe than Real and Ideal.",
         [
-            (_cell("lidar", c), _cell(s, c))
+            (make_cell("lidar", c), make_cell(s, c))
             for s in ("tof", "ideal")
-            for c in _CONFIGURATIONS
+            for c in CONFIGURATIONS
         ],
         least=True,
-        why=_explain_slow_lidar(results),
     )
 
 
@@ -367,23 +377,9 @@ def claim_real_less_safe_than_ideal(results: Results) -> Claim:
         results,
         "safety: Real",
         "Real is less safe than Ideal, because its distances err more.",
-        [(_cell("tof", c), _cell("ideal", c)) for c in _CONFIGURATIONS],
+        [(make_cell("tof", c), make_cell("ideal", c)) for c in CONFIGURATIONS],
         least=True,
-        why=(
-            "Errors of the rings go both ways: they see the person too late, "
-            "or stop where Ideal would not. Time stopped per run (s): "
-            + _list_means(
-                results,
-                "stopped_s",
-                [
-                    _cell(s, c)
-                    for s in ("tof", "ideal")
-                    for c in _CONFIGURATIONS
-                ],
-                digits=0,
-            )
-            + "."
-        ),
+        why=explanations.explain_seeing(results, make_cells(("tof", "ideal"))),
     )
 
 
@@ -397,18 +393,18 @@ def claim_fastest_reaction(results: Results) -> Claim:
             results,
             "reaction_time_s",
             [
-                (_cell("tof", "vo"), _cell(s, c))
-                for s in _SENSINGS
-                for c in _CONFIGURATIONS
+                (make_cell("tof", "vo"), make_cell(s, c))
+                for s in SENSINGS
+                for c in CONFIGURATIONS
                 if (s, c) != ("tof", "vo")
             ],
             least=True,
         ),
         "From the true distance's fall to 0.5 m to the stop; an approach "
         "without a stop has no reaction time and counts as missed.",
-        why=(
-            "The lidar sees the person all the way and its distances are the "
-            "largest, so that it stops as early."
+        why=explanations.join(
+            explanations.explain_earliest(results, make_cells()),
+            explanations.explain_studies(results, "reaction_time_s"),
         ),
     )
 
@@ -416,54 +412,26 @@ def claim_fastest_reaction(results: Results) -> Claim:
 def claim_reaction_anticipates(results: Results) -> Claim:
     """Fig. 12 (a): reactions come before the threshold."""
     evidence = []
-    for s in _SENSINGS:
-        for c in _CONFIGURATIONS:
-            cell = _cell(s, c)
-            value = results.estimate(cell, "reaction_time_s")
-            evidence.append(
-                Evidence(
-                    what=cell.label,
-                    estimate=value,
-                    verdict=judge_positive(dc.replace(value, mean=-value.mean)),
-                )
+    for cell in make_cells():
+        value = results.estimate(cell, "reaction_time_s")
+        evidence.append(
+            Evidence(
+                what=cell.label,
+                estimate=value,
+                verdict=judge_positive(dc.replace(value, mean=-value.mean)),
             )
+        )
     return _claim(
         "reaction: sign",
         "Reaction times are negative: the stop comes before the person is at "
         "the critical distance.",
         "s",
         evidence,
-        why=(
-            "SM stops at 0.5 m from a link's centre, which is less than 0.5 m "
-            "between the surfaces: it can not come before. At rest Vr stops "
-            "at 0.585 m from the centre, hardly more."
+        why=explanations.join(
+            explanations.explain_late(results, make_cells()),
+            explanations.explain_studies(results, "reaction_time_s"),
         ),
     )
-
-
-def _explain_reaction(results):
-    """Tells what makes rings earlier or later, with the study if any."""
-    text = (
-        "Ideal comes without delay here. The rings are later by their "
-        "sampling and filter, and by what they do not see; with Vo they are "
-        "earlier, because a person seen for the first time counts as walking "
-        "in at 1.6 m/s."
-    )
-    studied = []
-    for c in _CONFIGURATIONS:
-        late = Cell(sensing="ideal", configuration=c, variant="late")
-        value = results.difference(late, _cell("tof", c), "reaction_time_s")
-        if value.count:
-            difference = format_estimate(value, digits=2, sign=True)
-            studied.append(
-                f"{_cell('tof', c).label.removeprefix('Real ')} {difference} s"
-            )
-    if studied:
-        text += (
-            " With an Ideal distance that comes 0.1 s late, Ideal \u2212 Real "
-            f"is: {', '.join(studied)}."
-        )
-    return text
 
 
 def claim_real_reacts_before_ideal(results: Results) -> Claim:
@@ -476,10 +444,13 @@ def claim_real_reacts_before_ideal(results: Results) -> Claim:
         _compare(
             results,
             "reaction_time_s",
-            [(_cell("tof", c), _cell("ideal", c)) for c in _CONFIGURATIONS],
+            [
+                (make_cell("tof", c), make_cell("ideal", c))
+                for c in CONFIGURATIONS
+            ],
             least=True,
         ),
-        why=_explain_reaction(results),
+        why=explanations.explain_real_against_ideal(results),
     )
 
 
@@ -493,21 +464,12 @@ def claim_time_to_stop(results: Results) -> Claim:
             results,
             "time_to_stop_s",
             [
-                (_cell(s, "sm"), _cell(s, c))
-                for s in _SENSINGS
+                (make_cell(s, "sm"), make_cell(s, c))
+                for s in SENSINGS
                 for c in ("vo", "vr")
             ],
         ),
-        why=(
-            "A stop takes as long as the speed fraction has to fall: what "
-            "counts is how fast the robot was. Tool speed at a stop (m/s): "
-            + _list_means(
-                results,
-                "velocity_change_at_stop_mps",
-                [_cell(s, c) for s in _SENSINGS for c in _CONFIGURATIONS],
-            )
-            + "."
-        ),
+        why=explanations.explain_ramps(results),
     )
 
 
@@ -521,13 +483,13 @@ def claim_time_to_reduce(results: Results) -> Claim:
             results,
             "time_to_reduce_s",
             [
-                (_cell(s, c), _cell(s, "vo"))
-                for s in _SENSINGS
+                (make_cell(s, c), make_cell(s, "vo"))
+                for s in SENSINGS
                 for c in ("vr", "sm")
             ],
         ),
-        "From full speed the ramp takes 0.25 s; it is shorter where the robot "
-        "had not yet reached full speed again.",
+        "It is shorter where the robot had not yet reached full speed again.",
+        why=explanations.explain_slowing(results),
     )
 
 
@@ -541,56 +503,36 @@ def claim_velocity_change(results: Results) -> Claim:
             results,
             "velocity_change_at_stop_mps",
             [
-                (_cell(s, "vr"), _cell(s, c))
-                for s in _SENSINGS
+                (make_cell(s, "vr"), make_cell(s, c))
+                for s in SENSINGS
                 for c in ("vo", "sm")
             ],
         ),
+        why=explanations.explain_speeds(results),
     )
 
 
 def claim_separation_at_stop(results: Results) -> Claim:
     """Fig. 12 (d): where Real and Ideal stop."""
-    return _claim(
+    return _claim_separation(
+        results,
         "separation at stop",
         "Real and Ideal stop at about 0.5 m on average.",
-        "m",
-        _about(
-            results,
-            "separation_at_stop_m",
-            [
-                (_cell(s, c), 0.5)
-                for s in ("tof", "ideal")
-                for c in _CONFIGURATIONS
-            ],
-        ),
-        why=(
-            "The distance at a stop follows the law's own: SM stops at 0.5 m "
-            "from the link's centre, Vo the earlier the faster the person "
-            "comes."
-        ),
+        "separation_at_stop_m",
+        0.5,
+        _AT_STOP,
     )
 
 
 def claim_separation_at_reduce(results: Results) -> Claim:
     """Fig. 12 (d): where Real and Ideal slow down."""
-    return _claim(
+    return _claim_separation(
+        results,
         "separation at reduce",
         "Real and Ideal slow down at about 0.75 m on average.",
-        "m",
-        _about(
-            results,
-            "separation_at_reduce_m",
-            [
-                (_cell(s, c), 0.75)
-                for s in ("tof", "ideal")
-                for c in _CONFIGURATIONS
-            ],
-        ),
-        why=(
-            "As at a stop: with Vo the distance grows with the closing speed, "
-            "and a person who is seen for the first time counts as walking in."
-        ),
+        "separation_at_reduce_m",
+        0.75,
+        _AT_REDUCE,
     )
 
 
@@ -605,10 +547,13 @@ def claim_lidar_conservative(results: Results) -> Claim:
             results,
             "separation_at_stop_m",
             [
-                (_cell("lidar", c), _cell(s, c))
+                (make_cell("lidar", c), make_cell(s, c))
                 for s in ("tof", "ideal")
-                for c in _CONFIGURATIONS
+                for c in CONFIGURATIONS
             ],
+        ),
+        why=explanations.explain_law_distances(
+            results, *_AT_STOP, make_cells()
         ),
     )
 
@@ -619,14 +564,20 @@ def claim_sixteen(results: Results) -> Claim:
         "sixteen sensors",
         "Rings of 16 sensors have smaller blind spots (announced, without "
         "figures).",
-        "",
+        "percentage points",
         _compare(
             results,
             "detection_share",
-            [(_cell("tof16", c), _cell("tof", c)) for c in _CONFIGURATIONS],
+            [
+                (make_cell("tof16", c), make_cell("tof", c))
+                for c in CONFIGURATIONS
+            ],
+            scale=100.0,
         ),
         "Share of the time with the person within 1.31 m in which any ring "
         "reports a distance.",
+        why=explanations.explain_seeing(results, make_cells(("tof", "tof16"))),
+        digits=1,
     )
 
 
@@ -657,14 +608,3 @@ CLAIMS: tuple[Callable[[Results], Claim], ...] = (
 def check_claims(results: Results) -> list[Claim]:
     """Holds all claims against results."""
     return [claim(results) for claim in CLAIMS]
-
-
-def format_estimate(value: Estimate, *, digits: int = 3, sign=False) -> str:
-    """Returns `mean +- half width`; an en dash where there is none."""
-    if not value.count:
-        return "\u2013"
-    text = f"{value.mean:{'+' if sign else ''}.{digits}f}"
-    text = text.replace("-", "\u2212")
-    if math.isfinite(value.half_width):
-        text += f" \u00b1 {value.half_width:.{digits}f}"
-    return text

@@ -28,6 +28,7 @@ from tofssm_drake.evaluation.approach import (
     SEEN_TOLERANCE,
     Approach,
     count_late_stops,
+    find_any_due,
     find_approach,
     find_neighbours,
     is_seen,
@@ -427,7 +428,9 @@ def calc_summary(samples: Samples, *, products: int = 10) -> dict:
           `person_part`; `cause` (see `approach.CAUSES`), `ring` that should
           have stopped the robot first, `sensors` beside the gap, `late_s`
           (None: it never stopped).
-        - `late_stops`: see `approach.count_late_stops`.
+        - `late_stops`: see `approach.count_late_stops`; `stop_due_s`, time
+          after start-up in which a link's true distance is at or under its
+          critical distance.
         - `max_tcp_speed_mps`.
         - `distance_rmse_m`, measured against true distance from the link
           centres, all rings pooled; `distance_rmse_by_ring_m`, each ring's;
@@ -485,6 +488,9 @@ def calc_summary(samples: Samples, *, products: int = 10) -> dict:
         ),
         "contacts": [_summarize_contact(c) for c in contacts],
         "late_stops": count_late_stops(samples, start),
+        "stop_due_s": float(
+            periods[start:][find_any_due(samples)[start:]].sum()
+        ),
         "max_tcp_speed_mps": float(samples["tcp_speed"].max(initial=0.0)),
         "distance_rmse_m": calc_distance_rmse(measured, near),
         "distance_rmse_by_ring_m": {

@@ -27,6 +27,8 @@ from tofssm_drake.messages import RobotState
 
 _ROWS_SHOWN = 30
 _NONE = "\u2013"
+_MINUS = "\u2212"
+_BEHIND = "nearer to the link than the sensors sit"
 _NOUN = {"tof": "ring", "ideal": "link", "lidar": ""}
 
 _CONFIGURATION = {
@@ -68,7 +70,7 @@ def format_number(value, digits: int = 2, unit: str = "") -> str:
         return _NONE
     if isinstance(value, float) and math.isinf(value):
         return "clear"
-    text = f"{value:.{digits}f}"
+    text = f"{value:.{digits}f}".replace("-", _MINUS)
     return f"{text}\u00a0{unit}" if unit else text
 
 
@@ -140,7 +142,8 @@ def make_verdict(
             (
                 "note",
                 f"{placed} of {products} products were placed in the "
-                f"{summary['simulated_s']:.1f} s that were simulated.",
+                f"{summary['simulated_s']:.1f} s that were simulated."
+                + _describe_due(summary),
             )
         )
     episodes = summary["slow_episodes"]
@@ -173,6 +176,17 @@ def make_verdict(
             )
         )
     return verdict
+
+
+def _describe_due(summary):
+    """Tells for how long a stop was due, where that is most of the time."""
+    due, simulated = summary.get("stop_due_s"), summary["simulated_s"]
+    if due is None or due <= 0.5 * simulated:
+        return ""
+    return (
+        f" For {100 * due / simulated:.0f} % of that time the person was truly "
+        "within the distance at which this law stops the robot."
+    )
 
 
 def _times(count):
@@ -293,7 +307,12 @@ def describe_cause(
         i, j = approach.sensors
         where = f"the gap between sensors {i} and {j} of the {ring} ring"
         (view,) = [r for r in approach.rings if r.ring == ring]
-        if view.off_along > max(view.off_around, 0.0):
+        if math.isnan(view.off_around):
+            where = (
+                f"the space nearer to the link than the sensors of the {ring} "
+                "ring sit"
+            )
+        elif view.off_along > max(view.off_around, 0.0):
             where = (
                 f"the gap above and below the plane of the {ring} ring, at "
                 f"its sensors {i} and {j}"
@@ -350,6 +369,8 @@ def describe_ring(ring: RingApproach, noun: str = "ring") -> str:
     else:
         text += f". Until then it read {ring.nearest_reading:.2f} m or more"
     if ring.sensors is not None:
+        if math.isnan(ring.off_around):
+            return f"{text}, the person {_BEHIND}."
         text += (
             f", the person between sensors {ring.sensors[0]} and "
             f"{ring.sensors[1]}, {_off(ring.off_around)} around the link and "
@@ -376,12 +397,15 @@ def describe_view(view, noun: str = "ring") -> str:
         f"{_call(view.ring, noun)} {read}; the person's nearest point was "
         f"{max(view.true_distance, 0):.2f} m from its centre"
     )
+    if view.sensors is not None and math.isnan(view.off_beam):
+        return f"{text}, {_BEHIND}."
     if view.sensors is not None:
         azimuth = math.degrees(view.azimuth) % 360
-        elevation = math.degrees(view.elevation)
+        elevation = f"{math.degrees(view.elevation):+.0f}"
         text += (
-            f", at {azimuth:.0f}° around the link and {elevation:+.0f}° along "
-            f"it, between sensors {view.sensors[0]} and {view.sensors[1]}"
+            f", at {azimuth:.0f}° around the link and "
+            f"{elevation.replace('-', _MINUS)}° along it, between sensors "
+            f"{view.sensors[0]} and {view.sensors[1]}"
         )
         off = math.degrees(view.off_beam)
         if off > 0:
@@ -573,7 +597,7 @@ def make_audit_section(samples: Samples) -> dict | None:
     worst = audit.walking_in
     sentences = [
         f"At worst, at {worst.time:.2f} s ({link(samples, worst.link)}, "
-        f"moving towards the person at {worst.v_r:.2f} m/s), the standard asks "
+        f"{_describe_motion(worst.v_r)}), the standard asks "
         f"for {worst.S_p:.2f} m where the law kept d_C = {worst.d_C:.2f} m: "
         f"{_describe_gap(worst.worst)}.",
         f"For {audit.inside:.1f} s the robot was not told to stop though the "
@@ -604,6 +628,13 @@ def make_audit_section(samples: Samples) -> dict | None:
         "late": f"{1000 * abs(late):.0f}",
         "is_late": late > 1e-9,
     }
+
+
+def _describe_motion(v_r):
+    if round(v_r, 2) == 0.0:
+        return "not moving along the line to the person"
+    way = "towards" if v_r > 0.0 else "away from"
+    return f"moving {way} the person at {abs(v_r):.2f} m/s"
 
 
 def _describe_gap(gap):

@@ -44,7 +44,11 @@ import dataclasses as dc
 
 import numpy as np
 
-from tofssm_drake.evaluation.approach import STANDING, count_late_stops
+from tofssm_drake.evaluation.approach import (
+    STANDING,
+    count_late_stops,
+    find_any_due,
+)
 from tofssm_drake.evaluation.audit import calc_audit
 from tofssm_drake.evaluation.metrics import (
     MOVING_SPEED,
@@ -214,14 +218,18 @@ def calc_run_metrics(samples: Samples) -> dict[str, float]:
         - `safety_mean_m2_per_mps`, `safety_ratio_of_means_m2_per_mps`,
           `safety_median_m2_per_mps`;
         - `stop_events`, `reduce_events`, `velocity_change_at_stop_mps`,
-          `separation_at_stop_m`, `separation_at_reduce_m`, `time_to_stop_s`,
+          `separation_at_stop_m`, `separation_at_reduce_m`, `d_C_at_stop_m`,
+          `d_R_at_reduce_m` (of the link that decides), `time_to_stop_s`,
           `time_to_reduce_s`: means over the events;
         - `approaches`, `reaction_events`, `reaction_time_s` (mean),
           `missed_events`, `false_events`;
         - `distance_rmse_centre_m`, `distance_rmse_surface_m`,
           `distance_rmse_link_m`; `detection_share`, of the time with ||D_gt||
           within the best range that in which any link reports a distance;
-        - `stopped_s`, `reduced_s`, `normal_s`, `slow_episodes`,
+        - `stopped_s`, `reduced_s`, `normal_s`, `stopped_share` of the three
+          together; `stop_due_share`, of the same time that in which a link's
+          true distance is at or under its critical distance;
+        - `slow_episodes`,
           `state_changes`, `state_changes_per_min`,
           `state_changes_per_episode`;
         - `contacts_while_moving`, `contact_speed_max_mps`,
@@ -302,9 +310,19 @@ def _calc_events(samples):
         distance = [max(event.true_distance, 0.0) for event in chosen]
         return _mean([d for d in distance if np.isfinite(d)])
 
+    def asked(chosen, name):
+        distance = [
+            float(samples[f"{event.ring}_{name}"][row])
+            for event, row in zip(chosen, find_rows(chosen), strict=True)
+            if event.ring
+        ]
+        return _mean([d for d in distance if np.isfinite(d)])
+
     def duration(value):
         return float(periods[start:][state[start:] == value].sum())
 
+    due = find_any_due(samples)
+    stopped = duration(RobotState.STOP)
     episodes = find_episodes(samples, events)
     running = float(periods[start:].sum())
     changes = sum(episode.changes for episode in episodes)
@@ -314,6 +332,8 @@ def _calc_events(samples):
         "velocity_change_at_stop_mps": _mean([e.tcp_speed for e in stops]),
         "separation_at_stop_m": separation(stops),
         "separation_at_reduce_m": separation(reductions),
+        "d_C_at_stop_m": asked(stops, "d_C"),
+        "d_R_at_reduce_m": asked(reductions, "d_R"),
         "time_to_stop_s": _mean(
             _find_times_until(t, state, rho, find_rows(stops), STANDING)
         ),
@@ -322,9 +342,15 @@ def _calc_events(samples):
                 t, state, rho, find_rows(reductions), _REDUCED + _ROUNDING
             )
         ),
-        "stopped_s": duration(RobotState.STOP),
+        "stopped_s": stopped,
         "reduced_s": duration(RobotState.REDUCED),
         "normal_s": duration(RobotState.NORMAL),
+        "stopped_share": stopped / running if running else np.nan,
+        "stop_due_share": (
+            float(periods[start:][due[start:]].sum()) / running
+            if running
+            else np.nan
+        ),
         "slow_episodes": float(len(episodes)),
         "state_changes": float(len(events)),
         "state_changes_per_min": (

@@ -31,6 +31,9 @@ from tofssm_drake.messages import RINGS
 
 _KEY = b"tofssm"
 
+PARTS = ".*.part"
+"""Names of files while they are written; what a kill may leave behind."""
+
 RING_COLUMNS = (
     "state",
     "measured_distance",

@@ -30,6 +30,23 @@ class Estimate:
         """Upper end of the interval."""
         return self.mean + self.half_width
 
+    def scale(self, factor: float) -> "Estimate":
+        """Returns the same in another unit; factor: above 0."""
+        return dc.replace(
+            self, mean=self.mean * factor, half_width=self.half_width * factor
+        )
+
+
+def format_estimate(value: Estimate, *, digits: int = 3, sign=False) -> str:
+    """Returns `mean +- half width`; an en dash where there is none."""
+    if not value.count:
+        return "\u2013"
+    text = f"{value.mean:{'+' if sign else ''}.{digits}f}"
+    text = text.replace("-", "\u2212")
+    if math.isfinite(value.half_width):
+        text += f" \u00b1 {value.half_width:.{digits}f}"
+    return text
+
 
 @functools.cache
 def calc_t_quantile(

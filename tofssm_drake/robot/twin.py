@@ -8,6 +8,7 @@ sample time. `TwinPoses` does that without a plant context.
 
 from collections.abc import Sequence
 import dataclasses as dc
+import functools
 
 import numpy as np
 from pydrake.geometry import SceneGraph
@@ -115,6 +116,7 @@ def make_cell_plant(
     return plant
 
 
+@functools.cache
 def _read_base_pose():
     """Returns where the cell's model puts the robot's base."""
     plant = MultibodyPlant(0.0)
