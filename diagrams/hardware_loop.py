@@ -9,7 +9,7 @@ from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Context
 
 from tofssm_drake.diagrams.hardware_station import make_hardware_station
-from tofssm_drake.diagrams.scenario import Scenario
+from tofssm_drake.diagrams.scenario import Scenario, make_law
 from tofssm_drake.diagrams.workcell import Workcell, make_workcell
 from tofssm_drake.hardware.held_connections import HeldRings, HeldRobot
 from tofssm_drake.hardware.slider import (
@@ -20,10 +20,12 @@ from tofssm_drake.messages import (
     RINGS,
     RingScan,
     RobotReport,
+    RobotState,
     Separation,
 )
 from tofssm_drake.robot.kinematics import RingKinematics
 from tofssm_drake.robot.program import make_program_path
+from tofssm_drake.ssm.sensing_problem import find_sensing_problem
 
 # The world of virtual rings, or made-up scans, for so many periods of them.
 _WARM_UP = 3
@@ -52,11 +54,24 @@ class TickResult:
     """Number of the state."""
     ring_states: tuple[int, ...]
     reason: str
+    problem: str
+    """Why the sensing is not fresh and healthy; empty: it is."""
     speed_fraction: float
     slider: SliderState
     separation: Separation
     products_placed: int
     task_done: bool
+
+    @property
+    def health(self) -> str:
+        """Why the robot does not run at full speed, in one line.
+
+        The law's reason and the slider's; empty: it does.
+        """
+        reasons = [self.slider.reason]
+        if self.robot_state != RobotState.NORMAL:
+            reasons.insert(0, self.reason)
+        return "; ".join(filter(None, reasons))
 
 
 class HardwareLoop:
@@ -85,11 +100,15 @@ class HardwareLoop:
         self._sending = False
         self._send = send
         self._initialized = False
+        self._deadline = make_law(scenario).deadline
+        slider = SliderConfig() if slider is None else slider
         self._station = make_hardware_station(
             scenario,
             robot=HeldRobot(self._send_if_live),
             rings=None if virtual_rings else HeldRings(),
-            slider=slider,
+            slider=dc.replace(
+                slider, reduced_fraction=scenario.ssm.rho_reduced
+            ),
             gripper_output=gripper_output,
         )
         self._workcell = make_workcell(
@@ -142,22 +161,28 @@ class HardwareLoop:
         self._simulator.AdvanceTo(given.time)
         # The tick's own events: without it they would wait for the next one.
         self._simulator.AdvancePendingEvents()
-        self._slider.GetInputPort("report").FixValue(
-            self._slider_context, Value(given.report)
+        problem = find_sensing_problem(
+            index=self._ask("dsi"), now=given.time, deadline=self._deadline
         )
+        for name, value in (("report", given.report), ("problem", problem)):
+            self._slider.GetInputPort(name).FixValue(
+                self._slider_context, Value(value)
+            )
         self._publisher.ForcedPublish(self._publisher_context)
-        return self._read(given)
+        return self._read(given, problem)
 
-    def _read(self, given):
-        def ask(name):
-            return self._monitor.GetOutputPort(name).Eval(self._monitor_context)
+    def _ask(self, name):
+        return self._monitor.GetOutputPort(name).Eval(self._monitor_context)
 
+    def _read(self, given, problem):
+        ask = self._ask
         report = given.report
         return TickResult(
             time=given.time,
             robot_state=int(ask("robot_state")[0]),
             ring_states=tuple(int(s) for s in ask("ring_states")),
             reason=ask("reason"),
+            problem=problem,
             speed_fraction=float(ask("speed_fraction")[0]),
             slider=self._slider.GetOutputPort("slider").Eval(
                 self._slider_context
@@ -174,9 +199,10 @@ class HardwareLoop:
         self._monitor_context = self._monitor.GetMyContextFromRoot(root)
         self._publisher_context = self._publisher.GetMyContextFromRoot(root)
         self._slider_context = self._slider.GetMyMutableContextFromRoot(root)
-        self._slider.GetInputPort("report").FixValue(
-            self._slider_context, Value(RobotReport())
-        )
+        for name, value in (("report", RobotReport()), ("problem", "")):
+            self._slider.GetInputPort(name).FixValue(
+                self._slider_context, Value(value)
+            )
         if self._clock_offset is not None:
             self._ring_context = station.GetSubsystemByName(
                 "ring_subscriber"

@@ -65,9 +65,10 @@ def make_hardware_station(
     The ports are those of `make_station`, and so is their order. Of a real
     person nothing is known: the scene has none, and `skeleton` is empty.
 
-    The input `report` of the slider's control is open: the loop fixes it to
-    the report that the monitor has seen, once the monitor's tick is over. So
-    a command answers a report with what was computed of that same report.
+    Two inputs of the slider's control are open: the loop fixes `report` to
+    the report that the monitor has seen, and `problem` to what is wrong with
+    its data, once the monitor's tick is over. So a command answers a report
+    with what was computed of that same report.
 
     Args:
         scenario: Checked settings; rings on the arm.

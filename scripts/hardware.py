@@ -153,7 +153,10 @@ def hardware(
     )
     if not is_virtual:
         scenario.human = NoHuman()
-    slider = SliderConfig(minimum_fraction=minimum_fraction)
+    slider = SliderConfig(
+        minimum_fraction=minimum_fraction,
+        reduced_fraction=scenario.ssm.rho_reduced,
+    )
     slider.check("slider")
     robot_config = RtdeConfig(
         host=robot_host, port=robot_port, write=not dry_run

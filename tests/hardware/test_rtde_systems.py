@@ -1,9 +1,13 @@
 import unittest
 
 import numpy as np
+from pydrake.common.value import Value
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
-from pydrake.systems.primitives import ConstantVectorSource
+from pydrake.systems.primitives import (
+    ConstantValueSource,
+    ConstantVectorSource,
+)
 from robot_room import make_robot, serve
 
 from tofssm_drake.errors import UserError
@@ -68,6 +72,10 @@ class Loop:
         builder.Connect(
             self.wanted.get_output_port(),
             self.control.GetInputPort("speed_fraction"),
+        )
+        self.well = builder.AddSystem(ConstantValueSource(Value("")))
+        builder.Connect(
+            self.well.get_output_port(), self.control.GetInputPort("problem")
         )
         builder.Connect(
             self.control.GetOutputPort("command"),

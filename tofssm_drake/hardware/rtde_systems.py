@@ -6,7 +6,7 @@ others are given it:
     RtdeInterfaceSystem    owns the connection; no ports, no state
     RtdeSubscriberSystem   the newest report, as State
     RobotReportReceiver    report -> joints, gripper, products; pure
-    SliderControl          report and speed fraction -> command
+    SliderControl          report, speed fraction, problem -> command
     RtdePublisherSystem    sends the command when it is told to publish
 """
 
@@ -235,6 +235,7 @@ class SliderControl(LeafSystem):
         input_ports:
         - report
         - speed_fraction
+        - problem
         output_ports:
         - slider
         - command
@@ -244,9 +245,13 @@ class SliderControl(LeafSystem):
     report; `command` is the `SliderCommand` in it, for the publisher;
     `slider_obeys` (vector, 1) is 0 in a fault and else 1.
 
-    The outputs are of the report and the speed fraction as they are now. The
-    update at the begin of the Simulator's next step makes them the State, so
-    what was published is what is remembered.
+    `problem` (str) says why the monitor's data are not fresh and healthy, and
+    is empty if they are: from a fault the way back to speed leads through the
+    reduced fraction.
+
+    The outputs are of the inputs as they are now. The update at the begin of
+    the Simulator's next step makes them the State, so what was published is
+    what is remembered.
 
     Args:
         config: Settings; checked.
@@ -260,10 +265,12 @@ class SliderControl(LeafSystem):
             "report", Value(RobotReport())
         )
         self._speed_fraction = self.DeclareVectorInputPort("speed_fraction", 1)
+        self._problem = self.DeclareAbstractInputPort("problem", Value(""))
         self._state = self.DeclareAbstractState(Value(SliderState()))
         sources = {
             self._report.ticket(),
             self._speed_fraction.ticket(),
+            self._problem.ticket(),
             self.abstract_state_ticket(self._state),
         }
         self._slider = self.DeclareAbstractOutputPort(
@@ -293,6 +300,7 @@ class SliderControl(LeafSystem):
                 context.get_abstract_state(self._state).get_value(),
                 self._report.Eval(context),
                 self._speed_fraction.Eval(context)[0],
+                self._problem.Eval(context),
             )
         )
 

@@ -48,6 +48,17 @@ class SliderConfig:
     # no faster than that, 1/s.
     rise_rate: float = 2.0
 
+    # The way back to speed leads through that fraction, the safety law's of
+    # the reduced state: the slider must have stood there for that long, s,
+    # with all being well (assumed: five times as long as a sample of a ring
+    # may be old).
+    reduced_fraction: float = 0.5
+    recovery_time: float = 0.5
+
+    # If a fault ends before the law has slowed the robot down that far, the
+    # slider does so at that rate, 1/s (the law's own).
+    fall_rate: float = 10.0 / 3.0
+
     # What happens if someone sets the slider lower than wanted: True leaves
     # it there until someone raises it, False sets it back.
     yield_to_operator: bool = True
@@ -69,10 +80,22 @@ class SliderConfig:
             f"{where}.minimum_fraction: must be from 0 to 0.1, "
             f"got {self.minimum_fraction:g}",
         )
+        for name in ("rise_rate", "fall_rate"):
+            require(
+                0 < getattr(self, name) <= 100,
+                f"{where}.{name}: must be more than 0 and at most 100 1/s, "
+                f"got {getattr(self, name):g}",
+            )
         require(
-            0 < self.rise_rate <= 100,
-            f"{where}.rise_rate: must be more than 0 and at most 100 1/s, "
-            f"got {self.rise_rate:g}",
+            self.minimum_fraction < self.reduced_fraction < 1,
+            f"{where}.reduced_fraction: must be above minimum_fraction, "
+            f"{self.minimum_fraction:g}, and below 1, "
+            f"got {self.reduced_fraction:g}",
+        )
+        require(
+            0 <= self.recovery_time <= 60,
+            f"{where}.recovery_time: must be from 0 to 60 s, "
+            f"got {self.recovery_time:g}",
         )
 
 
@@ -91,6 +114,8 @@ class SliderPhase(enum.IntEnum):
     """The robot does not run its program: the slider stays lowest."""
     FAULT = 5
     """The echo does not follow: 0 is written and the heartbeat stops."""
+    RECOVERING = 6
+    """Something was wrong, or is: no more than the reduced fraction."""
 
 
 @dc.dataclass(frozen=True, eq=False, kw_only=True)
@@ -123,7 +148,11 @@ class SliderState:
     operator_fraction: float = 1.0
     """What a person at the slider allows."""
     ceiling: float = 0.0
-    """What is allowed after a hold, growing; inf: no limit."""
+    """What is allowed after a hold or a fault, growing; inf: no limit."""
+    healthy: float = 0.0
+    """For how long all was well at the reduced fraction, since `cause`, s."""
+    cause: str = ""
+    """What was wrong last."""
     left_zero: float = -math.inf
     """When the slider was last set from 0 to more, s."""
 
@@ -151,6 +180,7 @@ def step_slider(
     state: SliderState,
     report: RobotReport,
     wanted: float,
+    problem: str = "",
 ) -> SliderState:
     """Takes one report and says what to send in answer.
 
@@ -158,11 +188,17 @@ def step_slider(
     wanted fraction changed or the echo is astray. Otherwise a person could
     not move it.
 
+    Whatever was wrong, with the robot or with what the monitor knows, the
+    fraction grows again only through `reduced_fraction`. A problem of the
+    monitor's does not stop the robot here: the safety law does.
+
     Args:
         config: Settings.
         state: After the report before.
         report: The newest; if it is not new, nothing changes.
         wanted: Speed fraction of the safety law; not a number counts as 0.
+        problem: Why the monitor's data are not fresh and healthy; empty: they
+            are.
 
     Returns:
         The next state, with the command in it.
@@ -175,6 +211,7 @@ def step_slider(
             command=state.command,
             count=state.count,
             ceiling=config.minimum_fraction,
+            cause="new connection to the robot",
         )
     # Reports are counted, not time: a computer that was late has neither
     # written nor looked in the meantime.
@@ -199,14 +236,14 @@ def step_slider(
     if moved and config.yield_to_operator and not was_fault:
         operator = echo
 
-    ceiling = state.ceiling
-    if hold or not confirmed:
-        ceiling = config.minimum_fraction
-    elif ceiling < 1.0:
-        elapsed = report.timestamp - state.timestamp
-        ceiling += config.rise_rate * min(elapsed, _LONGEST_STEP)
-    if ceiling >= 1.0:
-        ceiling = math.inf
+    ceiling, healthy = _calc_ceiling(
+        config,
+        state,
+        echo=echo,
+        elapsed=min(report.timestamp - state.timestamp, _LONGEST_STEP),
+        is_down=bool(hold) or not confirmed,
+        is_well=not problem,
+    )
     target = max(min(wanted, ceiling), config.minimum_fraction)
     target = min(target, operator)
 
@@ -221,6 +258,7 @@ def step_slider(
         fault = now > deadline or math.isnan(echo)
     if fault:
         target, ceiling, deadline = 0.0, config.minimum_fraction, math.inf
+        healthy = 0.0
         confirmed = was_fault and confirmed
     if was_fault != fault:
         obeyed = 0
@@ -229,6 +267,10 @@ def step_slider(
         set_it = fault
     if target != state.fraction and not fresh:
         replaced = (*replaced, (state.fraction, now))
+    cause = hold or problem or state.cause
+    if fault:
+        cause = "slider did not obey"
+    recovering = problem or (target < wanted and healthy < config.recovery_time)
     return SliderState(
         **_describe(
             state,
@@ -240,6 +282,10 @@ def step_slider(
             astray=astray,
             confirmed=confirmed,
             operator=operator,
+            recovering=f"slider at most {config.reduced_fraction:.2f} for "
+            f"now: {cause}"
+            if recovering
+            else "",
         ),
         command=SliderCommand(
             sequence=report.sequence,
@@ -258,10 +304,29 @@ def step_slider(
         deadline=deadline,
         operator_fraction=operator,
         ceiling=ceiling,
+        healthy=healthy,
+        cause=cause,
         left_zero=report.timestamp
         if target > 0.0 == state.fraction
         else state.left_zero,
     )
+
+
+def _calc_ceiling(config, state, *, echo, elapsed, is_down, is_well):
+    """Returns what is allowed now, and for how long all was well, s."""
+    if is_down:
+        return config.minimum_fraction, 0.0
+    reduced = config.reduced_fraction
+    healthy = state.healthy if is_well else 0.0
+    if healthy >= config.recovery_time:
+        ceiling = state.ceiling + config.rise_rate * elapsed
+        return (ceiling if ceiling < 1.0 else math.inf), healthy
+    if state.ceiling > reduced:
+        ceiling = min(state.ceiling, 1.0) - config.fall_rate * elapsed
+        return max(ceiling, reduced), 0.0
+    if is_well and abs(echo - reduced) <= config.tolerance:
+        healthy += elapsed
+    return min(state.ceiling + config.rise_rate * elapsed, reduced), healthy
 
 
 def _is_within(value, values, tolerance):
@@ -280,6 +345,7 @@ def _describe(
     astray,
     confirmed,
     operator,
+    recovering,
 ):
     """Returns phase and reason."""
     echo = report.target_speed_fraction
@@ -308,6 +374,8 @@ def _describe(
     if operator < wanted and target == operator:
         reason = f"someone has set the slider to {operator:.2f}"
         return {"phase": SliderPhase.YIELDING, "reason": reason}
+    if recovering:
+        return {"phase": SliderPhase.RECOVERING, "reason": recovering}
     if target < wanted:
         reason = f"slider rises from a stop, at {target:.2f}"
         return {"phase": SliderPhase.RISING, "reason": reason}
