@@ -93,6 +93,7 @@ class HardwareRun:
         rings: Where scans come from; None: they are virtual.
         period: Control tick, s.
         record: What everything is written to; None: nothing is.
+        clock: Shows the host's time, s.
     """
 
     def __init__(
@@ -103,14 +104,16 @@ class HardwareRun:
         rings: RingConnection | None,
         period: float,
         record: RunRecorder | None = None,
+        clock: Callable[[], float] = time.monotonic,
     ):
         self._loop = loop
         self._robot = robot
         self._rings = rings
         self._record = record
-        self._clock = RobotClock(period=period)
+        self._robot_clock = RobotClock(period=period)
+        self._clock = clock
         self._sequence = -1
-        self._heard = time.monotonic()
+        self._heard = clock()
         self.ticks = 0
         """Reports answered."""
 
@@ -155,7 +158,7 @@ class HardwareRun:
             is_stopped,
         ):
             return None
-        self._heard = time.monotonic()
+        self._heard = self._clock()
         return self._robot.get_report()
 
     def step(self) -> TickResult | None:
@@ -171,7 +174,7 @@ class HardwareRun:
             after=self._sequence, timeout=_WAIT
         )
         if report.sequence <= self._sequence:
-            silence = time.monotonic() - self._heard
+            silence = self._clock() - self._heard
             problem = self._robot.get_status().problem
             require(
                 silence <= _LONGEST_SILENCE,
@@ -181,16 +184,17 @@ class HardwareRun:
             return None
         self._sequence = report.sequence
         self._heard = report.time
-        tick_time = self._clock.update(report)
+        tick_time = self._robot_clock.update(report)
+        lateness = self._robot_clock.lateness
         require(
-            self._clock.lateness <= _LATEST,
-            f"robot: reports come {1e3 * self._clock.lateness:.0f} ms late",
+            lateness <= _LATEST,
+            f"robot: reports come {1e3 * lateness:.0f} ms late",
         )
         given = TickInput(
             time=tick_time,
             report=report,
             scans=() if self._rings is None else self._rings.get_scans(),
-            clock_offset=self._clock.offset,
+            clock_offset=self._robot_clock.offset,
         )
         result = self._loop.tick(given)
         self.ticks += 1

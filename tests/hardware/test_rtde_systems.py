@@ -30,7 +30,7 @@ def make_report(sequence, **changes):
             "session": 0,
             "timestamp": 50 + 0.008 * sequence,
             "position": np.full(6, 0.1 * sequence),
-            "velocity": np.full(6, 0.5),
+            "velocity": np.zeros(6),
             "robot_mode": 7,
             "safety_mode": 1,
             "runtime_state": 2,
@@ -340,6 +340,9 @@ class TestWithRobot(unittest.TestCase):
             self.run_loop(loop, stands, seconds=0.5)
             loop.set_wanted(1.0)
             self.run_loop(loop, lambda r: r.target_speed_fraction == 1.0)
+            # So soon after a change it would pass for a late echo.
+            start = loop.context.get_time()
+            self.run_loop(loop, lambda r: r.timestamp > start + 0.3)
             server.do("simulate slider 0.4")
             self.run_loop(
                 loop, lambda _: slider().phase == SliderPhase.YIELDING

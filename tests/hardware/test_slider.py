@@ -5,6 +5,7 @@ import unittest
 
 from hypothesis import given, settings
 from hypothesis import strategies as st
+import numpy as np
 
 from tofssm_drake.errors import UserError
 import tofssm_drake.hardware.slider as mut
@@ -23,6 +24,7 @@ class Robot:
         self.slider = slider
         self.modes = {"robot_mode": 7, "safety_mode": 1, "runtime_state": 2}
         self.obeys = True
+        self.speed = 0.0
         self.sequence = -1
         self.session = 0
         self.timestamp = 100.0
@@ -39,6 +41,7 @@ class Robot:
             sequence=self.sequence,
             session=self.session,
             timestamp=self.timestamp,
+            velocity=np.full(6, self.speed),
             target_speed_fraction=self.slider,
             **self.modes,
         )
@@ -390,6 +393,46 @@ class TestHold(unittest.TestCase):
         self.assertEqual(dut.reason, "safety mode: protective stop")
 
 
+class TestRest(unittest.TestCase):
+    def test_a_robot_that_moves_must_stand_still_first(self):
+        robot = Robot()
+        robot.speed = 1.5
+        states = run(robot, 1.0, cycles=50)
+        self.assertEqual({s.command.speed_fraction for s in states}, {0.0})
+        self.assertEqual(states[-1].phase, SliderPhase.WAITING)
+        self.assertIn("until the robot stands still", states[-1].reason)
+        robot.speed = math.nan
+        state = run(robot, 1.0, cycles=50, state=states[-1])[-1]
+        self.assertEqual(state.command.speed_fraction, 0.0)
+        robot.speed = 0.0
+        settle(robot, 1.0, state=state)
+
+    def test_creeping_at_the_minimum_is_rest(self):
+        config = mut.SliderConfig(minimum_fraction=0.02)
+        robot = Robot()
+        robot.speed = 0.02 * 3.14
+        settle(robot, config=config)
+
+
+class TestLateEcho(unittest.TestCase):
+    def test_is_not_taken_for_a_person(self):
+        """20 cycles late, while the law takes the robot down."""
+        robot = Robot()
+        state = settle(robot, 1.0)
+        robot.delay = 20
+        phases = set()
+        for i in range(60):
+            wanted = max(1.0 - 0.025 * i, 0.0)
+            (state,) = run(robot, wanted, cycles=1, state=state)
+            self.assertEqual(state.operator_fraction, 1.0)
+            phases.add(state.phase)
+        self.assertIn(SliderPhase.FAULT, phases)
+        robot.delay = 1
+        robot.queue.clear()
+        run(robot, 0.0, cycles=20, state=state)
+        self.assertEqual(robot.slider, 0.0)
+
+
 class TestRecovery(unittest.TestCase):
     """From whatever was wrong, speed returns through the reduced fraction."""
 
@@ -446,7 +489,7 @@ class TestRecovery(unittest.TestCase):
         state = settle(self.robot, 1.0)
         for _ in range(5):
             state = self.go(0.0, 1, state, "base sample is too old")[-1]
-            states = self.go(1.0, 80, state)
+            states = self.go(1.0, 60, state)
             state = states[-1]
             self.assertEqual(state.command.speed_fraction, 0.5)
 
@@ -502,7 +545,7 @@ class TestSession(unittest.TestCase):
         self.assertEqual(states[0].command.speed_fraction, 0.0)
         self.assertEqual(states[0].command.heartbeat, beat + 1)
         self.assertEqual(states[1].phase, SliderPhase.RECOVERING)
-        self.assertIn("new connection", states[1].reason)
+        self.assertIn("new session", states[1].reason)
         self.assertEqual(robot.slider, 0.8)
 
 

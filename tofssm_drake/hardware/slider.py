@@ -21,6 +21,12 @@ from tofssm_drake.messages import RobotReport, SliderCommand
 
 # After a gap between reports the fraction rises as if it was only that, s.
 _LONGEST_STEP = 0.05
+# An echo of what was written that long ago is a late one, and nobody's hand, s.
+_LATE = 0.25
+# A robot whose joints are not faster stands still, rad/s; and the fastest
+# joint of all, which at the lowest fraction may creep on.
+_STANDING = 0.01
+_FASTEST = 3.2
 # A protective stop that soon after the slider left 0 came of that, s.
 _OFFENCE = 1.0
 
@@ -103,7 +109,7 @@ class SliderPhase(enum.IntEnum):
     """What the slider is up to."""
 
     WAITING = 0
-    """No report yet, or the slider was not yet seen at its lowest."""
+    """No report yet, or robot and slider were not yet seen at rest."""
     FOLLOWING = 1
     """The echo is what was written."""
     RISING = 2
@@ -137,10 +143,12 @@ class SliderState:
     """Of that report: where the slider was."""
     fraction: float = math.nan
     """Where it was last set or left; NaN: not yet in this session."""
-    replaced: tuple[tuple[float, int], ...] = ()
-    """(fraction, `count` when another took its place) of late."""
+    replaced: tuple[tuple[float, int, float], ...] = ()
+    """(fraction, `count` and `timestamp` when another took its place) of
+    late."""
     confirmed: bool = False
-    """The echo was `fraction` at least once since a start or a fault."""
+    """The echo was `fraction` at least once since a start or a fault, while
+    the robot stood still."""
     obeyed: int = 0
     """For how many reports in a row it is so by now."""
     deadline: float = math.inf
@@ -211,7 +219,7 @@ def step_slider(
             command=state.command,
             count=state.count,
             ceiling=config.minimum_fraction,
-            cause="new connection to the robot",
+            cause="new session with the robot",
         )
     # Reports are counted, not time: a computer that was late has neither
     # written nor looked in the meantime.
@@ -222,16 +230,23 @@ def step_slider(
     fresh = math.isnan(state.fraction)
 
     replaced = tuple(
-        p for p in state.replaced if now - p[1] <= config.confirm_cycles
+        p for p in state.replaced if report.timestamp - p[2] <= _LATE
     )
     # Comparisons with an echo that is not a number are all false.
     obeys = abs(echo - state.fraction) <= config.tolerance
+    recent = [f for f, n, _ in replaced if now - n <= config.confirm_cycles]
     astray = not fresh and not _is_within(
-        echo, (state.fraction, *(f for f, _ in replaced)), config.tolerance
+        echo, (state.fraction, *recent), config.tolerance
     )
-    moved = astray and abs(echo - state.echo) > config.tolerance
+    moved = (
+        astray
+        and abs(echo - state.echo) > config.tolerance
+        and not _is_within(
+            echo, (state.fraction, *(f for f, *_ in replaced)), config.tolerance
+        )
+    )
     obeyed = state.obeyed + 1 if obeys else 0
-    confirmed = state.confirmed or obeys
+    confirmed = state.confirmed or (obeys and _is_standing(config, report))
     operator = state.operator_fraction
     if moved and config.yield_to_operator and not was_fault:
         operator = echo
@@ -266,7 +281,7 @@ def step_slider(
     if moved and target == echo:
         set_it = fault
     if target != state.fraction and not fresh:
-        replaced = (*replaced, (state.fraction, now))
+        replaced = (*replaced, (state.fraction, now, report.timestamp))
     cause = hold or problem or state.cause
     if fault:
         cause = "slider did not obey"
@@ -322,11 +337,18 @@ def _calc_ceiling(config, state, *, echo, elapsed, is_down, is_well):
         ceiling = state.ceiling + config.rise_rate * elapsed
         return (ceiling if ceiling < 1.0 else math.inf), healthy
     if state.ceiling > reduced:
-        ceiling = min(state.ceiling, 1.0) - config.fall_rate * elapsed
+        # From where the slider is; never up again.
+        ceiling = state.fraction - config.fall_rate * elapsed
         return max(ceiling, reduced), 0.0
     if is_well and abs(echo - reduced) <= config.tolerance:
         healthy += elapsed
     return min(state.ceiling + config.rise_rate * elapsed, reduced), healthy
+
+
+def _is_standing(config, report):
+    """Returns whether the robot stands still, or creeps if that is lowest."""
+    limit = _STANDING + config.minimum_fraction * _FASTEST
+    return bool((abs(report.velocity) <= limit).all())
 
 
 def _is_within(value, values, tolerance):
@@ -367,6 +389,8 @@ def _describe(
         return {"phase": SliderPhase.HOLDING, "reason": hold}
     if not confirmed:
         reason = f"slider at {echo:.2f}, not yet seen at {target:.2f}"
+        if abs(echo - target) <= 0.005:
+            reason = "waits until the robot stands still"
         return {"phase": SliderPhase.WAITING, "reason": reason}
     if astray:
         reason = f"slider was moved to {echo:.2f}, is set to {target:.2f}"
