@@ -4,6 +4,7 @@ import contextlib
 import dataclasses as dc
 import math
 from pathlib import Path
+import re
 import shlex
 import sys
 import time
@@ -288,7 +289,7 @@ def _describe_slider(dry_run):
 
 
 class _Status:
-    """One line that is always there, and one for each stop or new phase."""
+    """One line that is always there, and one whenever something changed."""
 
     def __init__(self, robot, link, dry_run):
         self._robot = robot
@@ -296,7 +297,8 @@ class _Status:
         self._dry_run = dry_run
         self._live = Live(console=_console, auto_refresh=False, transient=True)
         self._shown = -math.inf
-        self._state = None
+        self._told = None
+        self._problem = ""
 
     def __enter__(self):
         if _console.is_terminal:
@@ -309,18 +311,18 @@ class _Status:
 
     def show(self, result: TickResult | None) -> None:
         """Shows what is new, now and then."""
+        problem = self._robot.get_status().problem
+        if problem != self._problem:
+            self._problem = problem
+            _print(f"robot: {problem or 'reports again'}")
         if result is None:
             return
-        told = result.robot_state == RobotState.STOP, result.slider.phase
-        if told != self._state:
-            self._state = told
-            reason = result.slider.reason or result.reason
-            _console.print(
+        told = describe_change(result, dry_run=self._dry_run)
+        if told != self._told:
+            self._told = told
+            _print(
                 f"{result.time:8.2f} s  "
-                f"{RobotState(result.robot_state).name.lower()}, slider "
-                f"{result.slider.phase.name.lower()}: {reason}",
-                markup=False,
-                soft_wrap=True,
+                + describe_health(result, dry_run=self._dry_run)
             )
         now = time.monotonic()
         if not _console.is_terminal or now - self._shown < _STATUS_PERIOD:
@@ -334,6 +336,42 @@ class _Status:
         if self._dry_run:
             line += " | dry run"
         self._live.update(Text(line), refresh=True)
+
+
+def _print(line):
+    _console.print(line, markup=False, soft_wrap=True)
+
+
+def describe_change(result: TickResult, *, dry_run: bool) -> tuple:
+    """Returns what must differ for a new line to be of interest.
+
+    Args:
+        result: Of the newest tick.
+        dry_run: Whether nothing is written, so that the slider can not obey.
+    """
+    change = (result.robot_state == RobotState.STOP, result.problem)
+    if dry_run:
+        return change
+    return (
+        *change,
+        result.slider.phase,
+        # Numbers come and go.
+        re.sub(r"[0-9.]+", "", result.slider.reason),
+    )
+
+
+def describe_health(result: TickResult, *, dry_run: bool) -> str:
+    """Returns one line: state, phase of the slider, and why.
+
+    Args:
+        result: Of the newest tick.
+        dry_run: Whether nothing is written, so that the slider can not obey.
+    """
+    state = RobotState(result.robot_state).name.lower()
+    if dry_run:
+        return result.reason
+    phase = result.slider.phase.name.lower()
+    return f"{state}, slider {phase}: {result.health or 'all is well'}"
 
 
 def describe_status(result, report, status, now: float) -> str:

@@ -1,5 +1,6 @@
 import json
 from pathlib import Path
+import resource
 import tempfile
 import unittest
 
@@ -108,6 +109,23 @@ class TestRunRecord(unittest.TestCase):
                 "/rings/received": 5,
             },
         )
+
+    def test_a_full_disk_is_told_by_the_next_tick(self):
+        with self.assertRaisesRegex(UserError, "--record: /dev/full: can not"):
+            mut.RunRecorder(Path("/dev/full"), {})
+        limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+        self.addCleanup(resource.setrlimit, resource.RLIMIT_FSIZE, limits)
+        scan = make_scan(0)
+        with mut.RunRecorder(self.path, {}) as recorder:
+            recorder.add_tick(make_tick(0, (scan,)))
+            resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, limits[1]))
+            # Whoever hands in bytes is not bothered.
+            recorder.add_robot_bytes(0.0, False, bytes(200_000))
+            for _ in range(2):
+                with self.assertRaisesRegex(UserError, "File too large"):
+                    recorder.add_tick(make_tick(1, (scan,)))
+        # What was written before can be read.
+        self.assertEqual(len(list(mut.RunReader(self.path).read_ticks())), 1)
 
     def test_what_is_no_record(self):
         with self.assertRaisesRegex(UserError, "can not read"):

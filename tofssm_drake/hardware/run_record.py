@@ -9,8 +9,10 @@ it made of it. A number that is none is null there, and infinity is 1e999.
 """
 
 from collections.abc import Iterator
+import contextlib
 import dataclasses as dc
 import json
+import math
 import pathlib
 import re
 import struct
@@ -23,7 +25,7 @@ from mcap.stream_reader import StreamReader
 from mcap.writer import CompressionType, Writer
 import numpy as np
 
-from tofssm_drake.errors import UserError
+from tofssm_drake.errors import UserError, require
 from tofssm_drake.messages import RingScan, RobotReport, SliderCommand
 
 _FLUSH_PERIOD = 0.5
@@ -92,6 +94,9 @@ class RecordedTick:
 class RunRecorder:
     """Writes a record; a context manager, and safe to use from threads.
 
+    A disk that is full or gone is told by the next `add_tick`: whoever hands
+    in bytes has other things to do.
+
     Args:
         path: The file; what is there is replaced.
         run: Plain values to make the same monitor of again.
@@ -110,6 +115,7 @@ class RunRecorder:
             ) from None
         self._lock = threading.Lock()
         self._closed = False
+        self._error = ""
         self._writer = Writer(
             self._stream,
             compression=CompressionType.NONE,
@@ -128,9 +134,11 @@ class RunRecorder:
                 metadata={"content": description},
             )
         self._scans: tuple[RingScan, ...] = ()
-        self._flushed = time.monotonic()
+        self._flushed = -math.inf
         self._add(_RUN, encode_json({"version": _VERSION, **run}))
-        self._stream.flush()
+        if self._error:
+            self.close()
+        self._require_written()
 
     def __enter__(self) -> "RunRecorder":
         return self
@@ -139,7 +147,11 @@ class RunRecorder:
         self.close()
 
     def add_tick(self, tick: RecordedTick) -> None:
-        """Writes a tick; of the scans only those that are new."""
+        """Writes a tick; of the scans only those that are new.
+
+        Raises:
+            UserError: Something could not be written, now or before.
+        """
         scans = [
             scan
             if i >= len(self._scans) or scan is not self._scans[i]
@@ -150,6 +162,7 @@ class RunRecorder:
         values = vars(tick) | {"scans": scans}
         self._add(_TICK, encode_json(values))
         self._add("/monitor", encode_json({"time": tick.time, **tick.state}))
+        self._require_written()
 
     def add_robot_bytes(
         self, arrival: float, was_sent: bool, data: bytes
@@ -164,9 +177,16 @@ class RunRecorder:
     def close(self) -> None:
         """Ends the file; may be called again."""
         with self._lock:
-            if not self._closed:
-                self._closed = True
-                self._writer.finish()
+            if self._closed:
+                return
+            self._closed = True
+            try:
+                if not self._error:
+                    self._writer.finish()
+            except OSError as error:
+                self._error = error.strerror
+            # What is left in the buffer can not be written either.
+            with contextlib.suppress(OSError):
                 self._stream.close()
 
     def _add_json_channel(self, topic):
@@ -182,17 +202,26 @@ class RunRecorder:
     def _add(self, topic, data):
         now = time.time_ns()
         with self._lock:
-            if self._closed:
+            if self._closed or self._error:
                 return
-            self._writer.add_message(
-                channel_id=self._channels[topic],
-                log_time=now,
-                publish_time=now,
-                data=data,
-            )
-            if time.monotonic() - self._flushed >= _FLUSH_PERIOD:
-                self._stream.flush()
-                self._flushed = time.monotonic()
+            try:
+                self._writer.add_message(
+                    channel_id=self._channels[topic],
+                    log_time=now,
+                    publish_time=now,
+                    data=data,
+                )
+                if time.monotonic() - self._flushed >= _FLUSH_PERIOD:
+                    self._stream.flush()
+                    self._flushed = time.monotonic()
+            except OSError as error:
+                self._error = error.strerror
+
+    def _require_written(self):
+        require(
+            not self._error,
+            f"--record: {self._path}: can not write it: {self._error}",
+        )
 
 
 class RunReader:
