@@ -298,7 +298,7 @@ class _Status:
         self._live = Live(console=_console, auto_refresh=False, transient=True)
         self._shown = -math.inf
         self._told = None
-        self._problem = ""
+        self._problems = {"robot": "", "rings": ""}
 
     def __enter__(self):
         if _console.is_terminal:
@@ -311,10 +311,7 @@ class _Status:
 
     def show(self, result: TickResult | None) -> None:
         """Shows what is new, now and then."""
-        problem = self._robot.get_status().problem
-        if problem != self._problem:
-            self._problem = problem
-            _print(f"robot: {problem or 'reports again'}")
+        self._tell_problem("robot", self._robot.get_status().problem)
         if result is None:
             return
         told = describe_change(result, dry_run=self._dry_run)
@@ -325,17 +322,26 @@ class _Status:
                 + describe_health(result, dry_run=self._dry_run)
             )
         now = time.monotonic()
-        if not _console.is_terminal or now - self._shown < _STATUS_PERIOD:
+        if now - self._shown < _STATUS_PERIOD:
             return
         self._shown = now
         line = describe_status(
             result, self._robot.get_report(), self._robot.get_status(), now
         )
         if self._link is not None:
-            line += f" | {self._link.get_status().describe(now)}"
+            rings = self._link.get_status()
+            self._tell_problem("rings", rings.error)
+            line += f" | {rings.describe(now)}"
         if self._dry_run:
             line += " | dry run"
-        self._live.update(Text(line), refresh=True)
+        if _console.is_terminal:
+            self._live.update(Text(line), refresh=True)
+
+    def _tell_problem(self, who, problem):
+        """Says once what is wrong with a link, and when it is not."""
+        if problem != self._problems[who]:
+            self._problems[who] = problem
+            _print(f"{who}: {problem or 'all is well again'}")
 
 
 def _print(line):
@@ -397,6 +403,8 @@ def describe_status(result, report, status, now: float) -> str:
         f"robot {age:.0f} ms, {status.missed} missed",
         f"{result.products_placed} placed",
     ]
+    if result.slider.reason:
+        parts.append(result.slider.reason)
     if status.problem:
         parts.append(f"robot: {status.problem}")
     return " | ".join(parts)

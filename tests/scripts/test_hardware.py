@@ -5,25 +5,19 @@ import io
 import itertools
 import json
 from pathlib import Path
-import signal
-import subprocess
-import sys
 import tempfile
-import time
 import unittest
 from unittest import mock
 
 from mcap.reader import make_reader
 import numpy as np
-from robot_process import find_free_host, start_robot
 from robot_room import make_robot, serve
 
 from tofssm_drake.diagrams.hardware_loop import HardwareLoop
 from tofssm_drake.diagrams.hardware_run import require_ready
 from tofssm_drake.diagrams.scenario import load_scenario
 from tofssm_drake.errors import UserError
-from tofssm_drake.hardware.rtde_client import RtdeClient, RtdeConfig
-from tofssm_drake.hardware.rtde_fields import RuntimeState, SafetyMode
+from tofssm_drake.hardware.rtde_fields import SafetyMode
 from tofssm_drake.hardware.rtde_protocol import PackageType
 from tofssm_drake.hardware.run_record import RunReader
 from tofssm_drake.messages import RobotReport
@@ -258,72 +252,5 @@ class TestReady(unittest.TestCase):
                 self.require(position=q, max_deviation=np.inf)
 
 
-class TestProcess(unittest.TestCase):
-    """What a signal does, measured by another client of the robot."""
-
-    def test_sigterm_sets_the_slider_to_zero(self):
-        with self.run_until_it_moves() as (watcher, process):
-            process.send_signal(signal.SIGTERM)
-            self.wait_for(
-                watcher, lambda r: r.target_speed_fraction == 0.0, 5.0
-            )
-            self.wait_for(watcher, lambda r: not r.velocity.any(), 5.0)
-            out, _ = process.communicate(timeout=30.0)
-            self.assertEqual(process.returncode, 130)
-            self.assertIn("interrupted; slider set to 0", out)
-
-    def test_killed_it_leaves_the_rest_to_the_robots_watchdog(self):
-        with self.run_until_it_moves() as (watcher, process):
-            process.kill()
-            process.communicate()
-            self.wait_for(
-                watcher,
-                lambda r: (
-                    r.runtime_state == RuntimeState.STOPPED
-                    and not r.velocity.any()
-                ),
-                5.0,
-            )
-
-    @contextlib.contextmanager
-    def run_until_it_moves(self):
-        host = find_free_host()
-        with start_robot(
-            *("--host", host, "--dashboard-port", -1),
-            *("--watchdog", 0.2, "--start", "heartbeat"),
-        ) as robot:
-            robot.stdout.readline()
-            with RtdeClient(RtdeConfig(host=host, write=False)) as watcher:
-                process = self.start(host)
-                self.wait_for(watcher, self.is_moving, 60.0)
-                yield watcher, process
-
-    def start(self, host):
-        process = subprocess.Popen(
-            [
-                *(sys.executable, "-m", "tofssm_drake.scripts.main"),
-                *("hardware", "--robot-host", host, "--rings", "virtual"),
-                *("--scenario-text", "{human: !NoHuman {}}", "--any-pose"),
-            ],
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            text=True,
-        )
-        self.addCleanup(process.kill)
-        return process
-
-    def is_moving(self, report):
-        return (
-            report.runtime_state == RuntimeState.PLAYING
-            and report.target_speed_fraction > 0.9
-            and report.velocity.any()
-        )
-
-    def wait_for(self, watcher, condition, timeout):
-        deadline = time.monotonic() + timeout
-        report = watcher.get_report()
-        while time.monotonic() < deadline:
-            report = watcher.wait_for_report(after=report.sequence, timeout=0.5)
-            if condition(report):
-                return report
-        raise AssertionError(f"waited in vain; {report}")
+if __name__ == "__main__":
+    unittest.main()
