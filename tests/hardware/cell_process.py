@@ -23,6 +23,8 @@ NOBODY = "{human: !NoHuman {}}"
 _MAIN = ("-m", "tofssm_drake.scripts.main")
 # The slowest machine on which a process still starts in time, s.
 _PATIENCE = 120.0
+# A robot that does not rest within that time never does, s.
+_REST = 15.0
 
 
 @dc.dataclass
@@ -80,18 +82,16 @@ class Watcher:
             start: Host's time of what happened, s.
             settled: For how long it must rest, s.
         """
-        rest = math.inf
-
-        def rests(report):
-            nonlocal rest
-            if report.velocity.any():
-                rest = math.inf
-            rest = min(rest, report.time)
-            return report.time - rest >= settled
-
-        with contextlib.suppress(AssertionError):
-            self.wait_for(rests, timeout=15.0)
-        reports = [r for r in list(self._reports) if r.time >= start]
+        deadline = time.monotonic() + _REST
+        while True:
+            is_late = time.monotonic() > deadline
+            reports = [r for r in list(self._reports) if r.time >= start]
+            end = _find_rest(reports, settled)
+            if end or is_late:
+                break
+            time.sleep(0.01)
+        assert reports, "the robot does not report"
+        reports = reports[: end or None]
         return Seen(
             zero=_find_last(reports, start, lambda r: r.target_speed_fraction),
             still=_find_last(reports, start, lambda r: r.velocity.any()),
@@ -104,6 +104,16 @@ class Watcher:
         self._closed.set()
         self._thread.join()
         self._client.close()
+
+
+def _find_rest(reports, settled):
+    """Returns how many reports it takes until the robot rested; 0: never."""
+    rest = math.inf
+    for i, report in enumerate(reports):
+        rest = math.inf if report.velocity.any() else min(rest, report.time)
+        if report.time - rest >= settled:
+            return i + 1
+    return 0
 
 
 def _find_last(reports, start, is_up):
@@ -236,15 +246,20 @@ class CellProcess:
             answer = lines.readline()
             assert "could not" not in answer, answer
 
-    def wait_for_full_speed(self) -> None:
+    def wait_for_full_speed(self, runner: Program) -> None:
         """Waits until the program runs fast; as often as it stops, plays it.
 
         A machine that is too busy for 0.2 s trips the watchdog.
+
+        Args:
+            runner: Who watches; it must be there first.
         """
+        runner.wait_for("normal, slider")
         played = -math.inf
 
         def is_fast(report):
             nonlocal played
+            assert runner.process.poll() is None, runner.err + runner.out
             if (
                 report.runtime_state
                 in (RuntimeState.STOPPED, RuntimeState.PAUSED)

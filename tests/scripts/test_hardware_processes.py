@@ -57,7 +57,7 @@ class TestRings(unittest.TestCase):
         ):
             path = Path(folder) / "run.mcap"
             runner = cell.start_runner("--record", path)
-            cell.wait_for_full_speed()
+            cell.wait_for_full_speed(runner)
             # Rings that hang, and go on.
             start = time.monotonic()
             cell.rings.process.send_signal(signal.SIGSTOP)
@@ -66,7 +66,7 @@ class TestRings(unittest.TestCase):
             self.assertEqual(seen.slider, 0.0)
             runner.wait_for(r"stop, slider \w+: stop: .* sample is")
             cell.rings.process.send_signal(signal.SIGCONT)
-            cell.wait_for_full_speed()
+            cell.wait_for_full_speed(runner)
             # The runner is told to stop.
             start = time.monotonic()
             runner.process.send_signal(signal.SIGTERM)
@@ -78,7 +78,7 @@ class TestRings(unittest.TestCase):
             self.check_record(path, "sample is")
             # Another one is killed: the robot's watchdog does the rest.
             runner = cell.start_runner()
-            cell.wait_for_full_speed()
+            cell.wait_for_full_speed(runner)
             start = time.monotonic()
             runner.process.kill()
             seen = cell.watcher.see(start)
@@ -92,7 +92,7 @@ class TestRings(unittest.TestCase):
         with CellProcess("pty") as cell:
             self.assertRegex(cell.address, "serial:///dev/")
             runner = cell.start_runner()
-            cell.wait_for_full_speed()
+            cell.wait_for_full_speed(runner)
             # The device is unplugged.
             start = time.monotonic()
             cell.rings.process.send_signal(signal.SIGKILL)
