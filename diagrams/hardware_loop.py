@@ -3,7 +3,7 @@
 import dataclasses as dc
 
 import numpy as np
-from pydrake.common.value import Value
+from pydrake.common.value import AbstractValue
 from pydrake.geometry import Meshcat
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Context
@@ -74,6 +74,11 @@ class TickResult:
         return "; ".join(filter(None, reasons))
 
 
+def _update(system, context):
+    """Makes a system's forced update, in place."""
+    system.CalcForcedUnrestrictedUpdate(context, context.get_mutable_state())
+
+
 class HardwareLoop:
     """The monitor in a loop with a station that is handed its data.
 
@@ -115,15 +120,26 @@ class HardwareLoop:
             scenario, station=self._station, meshcat=meshcat
         )
         self._monitor = self._workcell.diagram.GetSubsystemByName("monitor")
+        # Looked up once, not in each tick.
+        self._answers = {
+            name: self._monitor.GetOutputPort(name)
+            for name in (
+                "robot_state",
+                "ring_states",
+                "reason",
+                "speed_fraction",
+                "separation",
+            )
+        }
         station = self._station.diagram
         self._publisher = station.GetSubsystemByName("robot_publisher")
+        self._robot = station.GetSubsystemByName("robot_subscriber")
         self._slider = station.GetSubsystemByName("slider_control")
-        self._clock_offset = (
+        self._slider_state = self._slider.GetOutputPort("slider")
+        self._rings = (
             None
             if virtual_rings
-            else station.GetSubsystemByName("ring_subscriber").GetInputPort(
-                "clock_offset"
-            )
+            else station.GetSubsystemByName("ring_subscriber")
         )
         self._warm_up()
         self._start(self._workcell.make_context(scenario.random_seed))
@@ -149,32 +165,40 @@ class HardwareLoop:
             What the monitor says of it and what was sent.
         """
         self._station.robot.report = given.report
-        if self._clock_offset is not None:
+        if self._rings is not None:
             self._station.rings.scans = given.scans
-            self._clock_offset.FixValue(
-                self._ring_context, [given.clock_offset]
-            )
+            offset = self._clock_offset.GetMutableData().get_mutable_value()
+            offset[0] = given.clock_offset
         if not self._initialized:
             # With the first report, or the record would begin without one.
             self._simulator.Initialize()
             self._initialized = True
+        _update(self._robot, self._robot_context)
         self._simulator.AdvanceTo(given.time)
+        if self._rings is not None:
+            _update(self._rings, self._ring_context)
         # The tick's own events: without it they would wait for the next one.
         self._simulator.AdvancePendingEvents()
         problem = find_sensing_problem(
-            index=self._ask("dsi"), now=given.time, deadline=self._deadline
+            index=self._ask("separation"),
+            now=given.time,
+            deadline=self._deadline,
         )
-        for name, value in (("report", given.report), ("problem", problem)):
-            self._slider.GetInputPort(name).FixValue(
-                self._slider_context, Value(value)
-            )
+        self._shown_report.GetMutableData().set_value(given.report)
+        if problem != self._problem:
+            self._problem = problem
+            self._shown_problem.GetMutableData().set_value(problem)
         self._publisher.ForcedPublish(self._publisher_context)
-        return self._read(given, problem)
+        # What was published is remembered; a forced update would compute it
+        # anew.
+        slider = self._slider_state.Eval(self._slider_context)
+        self._slider_context.SetAbstractState(0, slider)
+        return self._read(given, problem, slider)
 
     def _ask(self, name):
-        return self._monitor.GetOutputPort(name).Eval(self._monitor_context)
+        return self._answers[name].Eval(self._monitor_context)
 
-    def _read(self, given, problem):
+    def _read(self, given, problem, slider):
         ask = self._ask
         report = given.report
         return TickResult(
@@ -184,9 +208,7 @@ class HardwareLoop:
             reason=ask("reason"),
             problem=problem,
             speed_fraction=float(ask("speed_fraction")[0]),
-            slider=self._slider.GetOutputPort("slider").Eval(
-                self._slider_context
-            ),
+            slider=slider,
             separation=ask("separation"),
             products_placed=max(report.products_placed, 0),
             task_done=report.products_placed >= self._scenario.program.products,
@@ -195,19 +217,22 @@ class HardwareLoop:
     def _start(self, context):
         self._simulator = Simulator(self._workcell.diagram, context)
         root = self._simulator.get_mutable_context()
-        station = self._station.diagram
         self._monitor_context = self._monitor.GetMyContextFromRoot(root)
         self._publisher_context = self._publisher.GetMyContextFromRoot(root)
+        self._robot_context = self._robot.GetMyMutableContextFromRoot(root)
         self._slider_context = self._slider.GetMyMutableContextFromRoot(root)
-        for name, value in (("report", RobotReport()), ("problem", "")):
+        self._shown_report, self._shown_problem = (
             self._slider.GetInputPort(name).FixValue(
-                self._slider_context, Value(value)
+                self._slider_context, AbstractValue.Make(value)
             )
-        if self._clock_offset is not None:
-            self._ring_context = station.GetSubsystemByName(
-                "ring_subscriber"
-            ).GetMyMutableContextFromRoot(root)
-            self._clock_offset.FixValue(self._ring_context, [0.0])
+            for name, value in (("report", RobotReport()), ("problem", ""))
+        )
+        self._problem = ""
+        if self._rings is not None:
+            self._ring_context = self._rings.GetMyMutableContextFromRoot(root)
+            self._clock_offset = self._rings.GetInputPort(
+                "clock_offset"
+            ).FixValue(self._ring_context, [0.0])
         self._initialized = False
 
     def _send_if_live(self, command):

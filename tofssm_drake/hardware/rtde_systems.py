@@ -26,7 +26,7 @@ from tofssm_drake.hardware.slider import (
     SliderState,
     step_slider,
 )
-from tofssm_drake.leaf_system import LeafSystem
+from tofssm_drake.leaf_system import DID_NOTHING, SUCCEEDED, LeafSystem
 from tofssm_drake.messages import RobotReport, SliderCommand
 
 
@@ -73,8 +73,9 @@ class RtdeSubscriberSystem(LeafSystem):
         - report
 
     `report` is a `RobotReport`. It is State: it changes in an update at the
-    begin of each of the Simulator's steps and never in between. So all that
-    is computed in a step is of one package.
+    begin of each of the Simulator's steps, or when it is told to (forced
+    update), and never in between. So all that is computed in a step is of one
+    package.
 
     Initialization waits for a report that is newer than those that the
     connection had before.
@@ -82,10 +83,16 @@ class RtdeSubscriberSystem(LeafSystem):
     Args:
         connection: Where reports come from.
         wait_timeout: Longest wait at initialization, s; 0 does not wait.
+        per_step: Update at each step; else only in forced updates, which
+            spare a loop the copy of the Diagram's whole State.
     """
 
     def __init__(
-        self, *, connection: RobotConnection, wait_timeout: float = 10.0
+        self,
+        *,
+        connection: RobotConnection,
+        wait_timeout: float = 10.0,
+        per_step: bool = True,
     ):
         super().__init__()
         require(
@@ -97,7 +104,8 @@ class RtdeSubscriberSystem(LeafSystem):
         self._report = self.DeclareAbstractState(Value(RobotReport()))
         self.DeclareStateOutputPort("report", self._report)
         self.DeclareInitializationUnrestrictedUpdateEvent(self._initialize)
-        self.DeclarePerStepUnrestrictedUpdateEvent(self._update)
+        if per_step:
+            self.DeclarePerStepUnrestrictedUpdateEvent(self._update)
         self.DeclareForcedUnrestrictedUpdateEvent(self._update)
 
     def _initialize(self, context: Context, state: State) -> EventStatus:
@@ -117,9 +125,9 @@ class RtdeSubscriberSystem(LeafSystem):
     def _update(self, context: Context, state: State) -> EventStatus:
         report = self._connection.get_report()
         if report is context.get_abstract_state(self._report).get_value():
-            return EventStatus.DidNothing()
+            return DID_NOTHING
         state.get_mutable_abstract_state(int(self._report)).set_value(report)
-        return EventStatus.Succeeded()
+        return SUCCEEDED
 
 
 class RtdePublisherSystem(LeafSystem):
@@ -149,7 +157,7 @@ class RtdePublisherSystem(LeafSystem):
     def _publish(self, context: Context) -> EventStatus:
         # Nothing follows from what send returns: the slider's echo tells.
         self._connection.send(self._command.Eval(context))
-        return EventStatus.Succeeded()
+        return SUCCEEDED
 
 
 class RobotReportReceiver(LeafSystem):
@@ -250,14 +258,18 @@ class SliderControl(LeafSystem):
     reduced fraction.
 
     The outputs are of the inputs as they are now. The update at the begin of
-    the Simulator's next step makes them the State, so what was published is
-    what is remembered.
+    the Simulator's next step, or who runs the loop, makes `slider` the State,
+    so what was published is what is remembered.
 
     Args:
         config: Settings; checked.
+        per_step: Update at each step; else who runs the loop does, or tells
+            it to (forced update).
     """
 
-    def __init__(self, *, config: SliderConfig | None = None):
+    def __init__(
+        self, *, config: SliderConfig | None = None, per_step: bool = True
+    ):
         super().__init__()
         self._config = SliderConfig() if config is None else config
         self._config.check("slider")
@@ -290,7 +302,8 @@ class SliderControl(LeafSystem):
         self.DeclareVectorOutputPort(
             "slider_obeys", 1, self._calc_obeys, sources
         )
-        self.DeclarePerStepUnrestrictedUpdateEvent(self._update)
+        if per_step:
+            self.DeclarePerStepUnrestrictedUpdateEvent(self._update)
         self.DeclareForcedUnrestrictedUpdateEvent(self._update)
 
     def _calc_slider(self, context, output):
@@ -311,6 +324,6 @@ class SliderControl(LeafSystem):
     def _update(self, context: Context, state: State) -> EventStatus:
         slider = self._slider.Eval(context)
         if slider is context.get_abstract_state(self._state).get_value():
-            return EventStatus.DidNothing()
+            return DID_NOTHING
         state.get_mutable_abstract_state(int(self._state)).set_value(slider)
-        return EventStatus.Succeeded()
+        return SUCCEEDED

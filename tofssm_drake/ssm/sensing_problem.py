@@ -1,12 +1,12 @@
 """Whether what the safety law works on is fresh and healthy."""
 
-from tofssm_drake.messages import RingHealth, SafetyIndex
+from tofssm_drake.messages import RingHealth, SafetyIndex, Separation
 
 _WORKING = (RingHealth.HEALTHY, RingHealth.BLIND)
 
 
 def find_sensing_problem(
-    *, index: SafetyIndex, now: float, deadline: float
+    *, index: SafetyIndex | Separation, now: float, deadline: float
 ) -> str:
     """Says what is wrong with the sensing of some link; "": with none.
 
@@ -15,7 +15,8 @@ def find_sensing_problem(
     text does not change while the same is wrong.
 
     Args:
-        index: The law's, with time and health of each link's sensing.
+        index: The law's, or what it is computed of: with time and health of
+            each link's sensing.
         now: Time, s, on the clock of `index.time`.
         deadline: The law's, s.
     """
