@@ -1,6 +1,8 @@
 """Runs the monitor on a real robot's reports, one tick for each of them."""
 
 import dataclasses as dc
+import math
+import time
 
 import numpy as np
 from pydrake.common.value import AbstractValue
@@ -61,6 +63,8 @@ class TickResult:
     separation: Separation
     products_placed: int
     task_done: bool
+    sent: float
+    """Host's time when the command had been handed over, s; NaN: it was not."""
 
     @property
     def health(self) -> str:
@@ -188,6 +192,7 @@ class HardwareLoop:
         if problem != self._problem:
             self._problem = problem
             self._shown_problem.GetMutableData().set_value(problem)
+        self._sent = math.nan
         self._publisher.ForcedPublish(self._publisher_context)
         # What was published is remembered; a forced update would compute it
         # anew.
@@ -212,6 +217,7 @@ class HardwareLoop:
             separation=ask("separation"),
             products_placed=max(report.products_placed, 0),
             task_done=report.products_placed >= self._scenario.program.products,
+            sent=self._sent,
         )
 
     def _start(self, context):
@@ -236,7 +242,10 @@ class HardwareLoop:
         self._initialized = False
 
     def _send_if_live(self, command):
-        return self._sending and self._send is not None and self._send(command)
+        if not self._sending or self._send is None or not self._send(command):
+            return False
+        self._sent = time.monotonic()
+        return True
 
     def _warm_up(self):
         """Runs a few ticks in vain: the first call of a kernel is slow."""

@@ -212,6 +212,8 @@ def make_recorded_tick(given: TickInput, result: TickResult) -> RecordedTick:
         scans=given.scans,
         command=result.slider.command,
         state=describe_state(result),
+        sent=result.sent,
+        busy=time.process_time(),
     )
 
 
@@ -224,10 +226,7 @@ def describe_state(result: TickResult) -> dict:
         "speed_fraction": result.speed_fraction,
         "slider_phase": int(result.slider.phase),
         "slider_reason": result.slider.reason,
-        "distance": [
-            d if np.isfinite(d) else None
-            for d in result.separation.distance.tolist()
-        ],
+        "distance": result.separation.distance.tolist(),
     }
 
 
