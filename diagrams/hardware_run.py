@@ -84,6 +84,68 @@ def require_ready(
     )
 
 
+def wait_for_robot(
+    robot: RobotConnection,
+    *,
+    timeout: float,
+    tell: Callable[[str], None],
+    is_stopped: Callable[[], bool],
+) -> bool:
+    """Waits until the robot has reported.
+
+    Args:
+        robot: Where reports come from.
+        timeout: Longest wait, s.
+        tell: Called with what is waited for, whenever that changes.
+        is_stopped: Whether to give up.
+
+    Returns:
+        Whether it has; False: it was given up.
+
+    Raises:
+        UserError: The time is over.
+    """
+
+    def has_reported():
+        return robot.wait_for_report(after=-1, timeout=_WAIT).sequence >= 0
+
+    def find_problem():
+        problem = robot.get_status().problem
+        return f"no report from the robot: {problem or 'it is silent'}"
+
+    return _wait(has_reported, find_problem, timeout, tell, is_stopped)
+
+
+def set_control_period(
+    scenario: Scenario, *, frequency: float, control_period: float | None
+) -> None:
+    """Puts the scenario's control tick onto the robot's reports.
+
+    Args:
+        scenario: Checked settings; changed in place.
+        frequency: Reports per second.
+        control_period: Control tick that the user wants, s; None: one for
+            each report.
+
+    Raises:
+        UserError: The reports can not make such ticks.
+    """
+    period = 1.0 / frequency
+    if control_period is not None:
+        ticks = control_period / period
+        require(
+            round(ticks) >= 1 and abs(ticks - round(ticks)) < 1e-6,
+            f"--control-period: must be a multiple of {period:g} s, since the "
+            f"robot reports at {frequency:g} Hz; got {control_period:g}",
+        )
+        period = control_period
+    scenario.control_period = period
+    scenario.audit.rtde_period = 1.0 / frequency
+    # The simulated arm is not used, but its settings must fit.
+    scenario.robot.time_step = min(scenario.robot.time_step, period)
+    scenario.check()
+
+
 class HardwareRun:
     """Robot, rings and monitor, one tick for each of the robot's reports.
 
@@ -137,18 +199,9 @@ class HardwareRun:
         Raises:
             UserError: The time is over.
         """
-
-        def has_reported():
-            return (
-                self._robot.wait_for_report(after=-1, timeout=_WAIT).sequence
-                >= 0
-            )
-
-        def find_problem():
-            problem = self._robot.get_status().problem
-            return f"no report from the robot: {problem or 'it is silent'}"
-
-        if not _wait(has_reported, find_problem, timeout, tell, is_stopped):
+        if not wait_for_robot(
+            self._robot, timeout=timeout, tell=tell, is_stopped=is_stopped
+        ):
             return None
         if self._rings is not None and not _wait(
             lambda: self._rings.wait_for_scans(_WAIT),

@@ -16,7 +16,12 @@ from rich.text import Text
 import typer
 
 from tofssm_drake.diagrams.hardware_loop import HardwareLoop, TickResult
-from tofssm_drake.diagrams.hardware_run import HardwareRun, require_ready
+from tofssm_drake.diagrams.hardware_run import (
+    HardwareRun,
+    require_ready,
+    set_control_period,
+    wait_for_robot,
+)
 from tofssm_drake.diagrams.scenario import (
     NoHuman,
     dump_scenario,
@@ -27,6 +32,7 @@ from tofssm_drake.errors import UserError, require
 from tofssm_drake.hardware.ring_address import parse_ring_address
 from tofssm_drake.hardware.ring_link import RingLink
 from tofssm_drake.hardware.ring_receiver import RingDecoder, RingLinkConfig
+from tofssm_drake.hardware.robot_connection import RtdeStatus
 from tofssm_drake.hardware.rtde_client import RtdeClient, RtdeConfig
 from tofssm_drake.hardware.run_record import RunRecorder
 from tofssm_drake.hardware.slider import SliderConfig
@@ -99,6 +105,13 @@ def hardware(
         float,
         typer.Option(help="Where a stop leaves the slider, 0 to 0.1."),
     ] = 0.0,
+    control_period: Annotated[
+        float | None,
+        typer.Option(
+            help="Control tick, s; a multiple of the robot's cycle. Without "
+            "it there is a tick for each of the robot's reports."
+        ),
+    ] = None,
     wait: Annotated[
         float, typer.Option(help="Longest wait for robot and for rings, s.")
     ] = 30.0,
@@ -163,8 +176,7 @@ def hardware(
         host=robot_host, port=robot_port, write=not dry_run
     )
     robot_config.check("robot")
-    options = {
-        "scenario": dump_scenario(scenario),
+    run_options = {
         "virtual_rings": is_virtual,
         "minimum_fraction": minimum_fraction,
         "dry_run": dry_run,
@@ -176,7 +188,7 @@ def hardware(
         stopped = stack.enter_context(catch_stop())
         recorder = None
         if record is not None:
-            recorder = stack.enter_context(RunRecorder(record, options))
+            recorder = stack.enter_context(RunRecorder(record))
         link = None
         if addresses:
             link = stack.enter_context(
@@ -196,6 +208,25 @@ def hardware(
         )
         # Closed first of all: that puts the slider to 0.
         stack.enter_context(robot)
+        waiting = {
+            "timeout": wait,
+            "tell": _console.print,
+            "is_stopped": lambda: bool(stopped),
+        }
+        if not wait_for_robot(robot, **waiting):
+            print("interrupted before the start")
+            return 130
+        status = robot.get_status()
+        set_control_period(
+            scenario,
+            frequency=status.frequency,
+            control_period=control_period,
+        )
+        _console.print(describe_robot(status, scenario.control_period))
+        if recorder is not None:
+            recorder.add_run(
+                {"scenario": dump_scenario(scenario), **run_options}
+            )
         display = make_display() if meshcat else None
         if display is not None:
             print(f"watch at {display.web_url()}", flush=True)
@@ -213,11 +244,7 @@ def hardware(
             period=scenario.control_period,
             record=recorder,
         )
-        first = run.wait(
-            timeout=wait,
-            tell=_console.print,
-            is_stopped=lambda: bool(stopped),
-        )
+        first = run.wait(**waiting)
         if first is None:
             print("interrupted before the start")
             return 130
@@ -237,7 +264,7 @@ def hardware(
             end,
             out,
             scenario_name,
-            options["command"],
+            run_options["command"],
             is_real=not is_virtual,
         )
     return end.code
@@ -282,6 +309,20 @@ def _run(run, robot, link, stopped, duration, dry_run):
     end.result = result
     end.wall_time = time.monotonic() - begin
     return end
+
+
+def describe_robot(status: RtdeStatus, control_period: float) -> str:
+    """Returns the line that tells what robot answered, and the tick.
+
+    Args:
+        status: Of the connection.
+        control_period: Control tick, s.
+    """
+    version = ".".join(str(part) for part in status.controller[:3])
+    return (
+        f"robot: software {version}, {status.frequency:g} Hz; control tick "
+        f"{1e3 * control_period:g} ms"
+    )
 
 
 def _describe_slider(dry_run):

@@ -169,13 +169,14 @@ class RunRecorder:
 
     Args:
         path: The file; what is there is replaced.
-        run: Plain values to make the same monitor of again.
+        run: Plain values to make the same monitor of again; None: they are
+            not known yet, and `add_run` follows.
 
     Raises:
         UserError: The file can not be written.
     """
 
-    def __init__(self, path: pathlib.Path, run: dict):
+    def __init__(self, path: pathlib.Path, run: dict | None = None):
         self._path = path
         self._error: OSError | None = None
         try:
@@ -208,11 +209,8 @@ class RunRecorder:
             )
         self._scans: tuple[RingScan, ...] = ()
         self._epoch = time.time() - time.monotonic()
-        self._add(
-            _RUN,
-            encode_json({"version": _VERSION, "epoch": self._epoch, **run}),
-            time.monotonic(),
-        )
+        if run is not None:
+            self.add_run(run)
         self._flush()
         if self._error is not None:
             self._file.close()
@@ -227,6 +225,11 @@ class RunRecorder:
 
     def __exit__(self, *_) -> None:
         self.close()
+
+    def add_run(self, run: dict) -> None:
+        """Writes what the monitor is made of; once, before the first tick."""
+        message = {"version": _VERSION, "epoch": self._epoch, **run}
+        self._add(_RUN, encode_json(message), time.monotonic())
 
     def add_tick(self, tick: RecordedTick) -> None:
         """Writes a tick; of the scans only those that are new.
