@@ -93,6 +93,7 @@ class HardwareLoop:
         slider: Settings of the slider.
         gripper_output: Number of the digital output that closes the gripper.
         meshcat: Where to show the twin; None shows nothing.
+        with_samples: Keep samples for a report; they grow with the run.
     """
 
     def __init__(
@@ -104,6 +105,7 @@ class HardwareLoop:
         slider: SliderConfig | None = None,
         gripper_output: int = 0,
         meshcat: Meshcat | None = None,
+        with_samples: bool = False,
     ):
         self._scenario = scenario
         self._sending = False
@@ -121,7 +123,10 @@ class HardwareLoop:
             gripper_output=gripper_output,
         )
         self._workcell = make_workcell(
-            scenario, station=self._station, meshcat=meshcat
+            scenario,
+            station=self._station,
+            meshcat=meshcat,
+            with_samples=with_samples,
         )
         self._monitor = self._workcell.diagram.GetSubsystemByName("monitor")
         # Looked up once, not in each tick.
@@ -180,7 +185,7 @@ class HardwareLoop:
         _update(self._robot, self._robot_context)
         self._simulator.AdvanceTo(given.time)
         if self._rings is not None:
-            _update(self._rings, self._ring_context)
+            self._take_scans(given)
         # The tick's own events: without it they would wait for the next one.
         self._simulator.AdvancePendingEvents()
         problem = find_sensing_problem(
@@ -200,8 +205,26 @@ class HardwareLoop:
         self._slider_context.SetAbstractState(0, slider)
         return self._read(given, problem, slider)
 
+    def _take_scans(self, given):
+        """Lets the rings' subscriber look, if there is anything to see."""
+        if [scan.sequence for scan in given.scans] == self._taken:
+            return
+        _update(self._rings, self._ring_context)
+        self._taken = [
+            self._rings.get_output_port(i).Eval(self._ring_context).sequence
+            for i in range(len(RINGS))
+        ]
+
     def _ask(self, name):
         return self._answers[name].Eval(self._monitor_context)
+
+    def _ask_reason(self):
+        """Words cost more than numbers: they are made for what is new."""
+        reasons_for = self._ask("separation"), self._ask("robot_state")[0]
+        if reasons_for != self._reasons_for:
+            self._reasons_for = reasons_for
+            self._reason = self._ask("reason")
+        return self._reason
 
     def _read(self, given, problem, slider):
         ask = self._ask
@@ -210,7 +233,7 @@ class HardwareLoop:
             time=given.time,
             robot_state=int(ask("robot_state")[0]),
             ring_states=tuple(int(s) for s in ask("ring_states")),
-            reason=ask("reason"),
+            reason=self._ask_reason(),
             problem=problem,
             speed_fraction=float(ask("speed_fraction")[0]),
             slider=slider,
@@ -234,6 +257,8 @@ class HardwareLoop:
             for name, value in (("report", RobotReport()), ("problem", ""))
         )
         self._problem = ""
+        self._reasons_for = self._reason = None
+        self._taken = None
         if self._rings is not None:
             self._ring_context = self._rings.GetMyMutableContextFromRoot(root)
             self._clock_offset = self._rings.GetInputPort(

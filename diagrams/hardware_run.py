@@ -5,7 +5,10 @@
 Whatever ends it, the connection is closed, which puts the slider to 0.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+import contextlib
+import gc
+import sys
 import time
 
 import numpy as np
@@ -33,6 +36,8 @@ _LONGEST_SILENCE = 10.0
 # Reports that come so much later than the fastest ones end the run, s.
 _LATEST = 0.25
 _PATH_STEP = 0.05
+# How long a thread may compute while another one waits, s.
+_SWITCH_INTERVAL = 0.0005
 # Between two lines about what is waited for, s.
 _QUIET = 2.0
 
@@ -82,6 +87,25 @@ def require_ready(
         f"robot: joint {j + 1} is at {q[j]:.3f} rad, {nearest[j]:.2f} from "
         f"where the scenario's program ever is, more than {max_deviation:g}",
     )
+
+
+@contextlib.contextmanager
+def keep_interpreter_quiet() -> Iterator[None]:
+    """Keeps Python's housekeeping out of the way of the loop.
+
+    All that exists is spared by the garbage collector: looking through it
+    took longer than many control cycles. And a thread that received something
+    need not wait long for one that computes.
+    """
+    interval = sys.getswitchinterval()
+    gc.collect()
+    gc.freeze()
+    sys.setswitchinterval(_SWITCH_INTERVAL)
+    try:
+        yield
+    finally:
+        sys.setswitchinterval(interval)
+        gc.unfreeze()
 
 
 def wait_for_robot(

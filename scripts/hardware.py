@@ -4,20 +4,18 @@ import contextlib
 import dataclasses as dc
 import math
 from pathlib import Path
-import re
 import shlex
 import sys
 import time
 from typing import Annotated
 
 from rich.console import Console
-from rich.live import Live
-from rich.text import Text
 import typer
 
 from tofssm_drake.diagrams.hardware_loop import HardwareLoop, TickResult
 from tofssm_drake.diagrams.hardware_run import (
     HardwareRun,
+    keep_interpreter_quiet,
     require_ready,
     set_control_period,
     wait_for_robot,
@@ -36,7 +34,7 @@ from tofssm_drake.hardware.robot_connection import RtdeStatus
 from tofssm_drake.hardware.rtde_client import RtdeClient, RtdeConfig
 from tofssm_drake.hardware.run_record import RunRecorder
 from tofssm_drake.hardware.slider import SliderConfig
-from tofssm_drake.messages import RINGS, RobotState
+from tofssm_drake.scripts.hardware_status import HardwareStatus
 import tofssm_drake.scripts.options as options
 from tofssm_drake.scripts.simulate import (
     catch_stop,
@@ -48,8 +46,6 @@ from tofssm_drake.scripts.simulate import (
 )
 
 _VIRTUAL = "virtual"
-# Between two status lines, s.
-_STATUS_PERIOD = 0.2
 
 _console = Console(stderr=True, highlight=False)
 
@@ -222,7 +218,6 @@ def hardware(
             frequency=status.frequency,
             control_period=control_period,
         )
-        _console.print(describe_robot(status, scenario.control_period))
         if recorder is not None:
             recorder.add_run(
                 {"scenario": dump_scenario(scenario), **run_options}
@@ -236,7 +231,9 @@ def hardware(
             send=None if dry_run else robot.send,
             slider=slider,
             meshcat=display,
+            with_samples=out is not None,
         )
+        stack.enter_context(keep_interpreter_quiet())
         run = HardwareRun(
             loop=loop,
             robot=robot,
@@ -254,6 +251,7 @@ def hardware(
             loop.workcell.station.plant,
             max_deviation=math.inf if any_pose else 0.5,
         )
+        _console.print(describe_robot(status, scenario.control_period))
         end = _run(run, robot, link, stopped, duration, dry_run)
         robot.close()
     print(f"{end.reason}; {_describe_slider(dry_run)}", flush=True)
@@ -284,7 +282,7 @@ def _run(run, robot, link, stopped, duration, dry_run):
     """Runs until something ends it; closes the robot before it tells."""
     result = None
     begin = time.monotonic()
-    status = _Status(robot, link, dry_run)
+    status = HardwareStatus(robot=robot, link=link, dry_run=dry_run)
     try:
         with status:
             while True:
@@ -327,128 +325,6 @@ def describe_robot(status: RtdeStatus, control_period: float) -> str:
 
 def _describe_slider(dry_run):
     return "nothing was written (dry run)" if dry_run else "slider set to 0"
-
-
-class _Status:
-    """One line that is always there, and one whenever something changed."""
-
-    def __init__(self, robot, link, dry_run):
-        self._robot = robot
-        self._link = link
-        self._dry_run = dry_run
-        self._live = Live(console=_console, auto_refresh=False, transient=True)
-        self._shown = -math.inf
-        self._told = None
-        self._problems = {"robot": "", "rings": ""}
-
-    def __enter__(self):
-        if _console.is_terminal:
-            self._live.__enter__()
-        return self
-
-    def __exit__(self, *exception):
-        if _console.is_terminal:
-            self._live.__exit__(*exception)
-
-    def show(self, result: TickResult | None) -> None:
-        """Shows what is new, now and then."""
-        self._tell_problem("robot", self._robot.get_status().problem)
-        if result is None:
-            return
-        told = describe_change(result, dry_run=self._dry_run)
-        if told != self._told:
-            self._told = told
-            _print(
-                f"{result.time:8.2f} s  "
-                + describe_health(result, dry_run=self._dry_run)
-            )
-        now = time.monotonic()
-        if now - self._shown < _STATUS_PERIOD:
-            return
-        self._shown = now
-        line = describe_status(
-            result, self._robot.get_report(), self._robot.get_status(), now
-        )
-        if self._link is not None:
-            rings = self._link.get_status()
-            self._tell_problem("rings", rings.error)
-            line += f" | {rings.describe(now)}"
-        if self._dry_run:
-            line += " | dry run"
-        if _console.is_terminal:
-            self._live.update(Text(line), refresh=True)
-
-    def _tell_problem(self, who, problem):
-        """Says once what is wrong with a link, and when it is not."""
-        if problem != self._problems[who]:
-            self._problems[who] = problem
-            _print(f"{who}: {problem or 'all is well again'}")
-
-
-def _print(line):
-    _console.print(line, markup=False, soft_wrap=True)
-
-
-def describe_change(result: TickResult, *, dry_run: bool) -> tuple:
-    """Returns what must differ for a new line to be of interest.
-
-    Args:
-        result: Of the newest tick.
-        dry_run: Whether nothing is written, so that the slider can not obey.
-    """
-    change = (result.robot_state == RobotState.STOP, result.problem)
-    if dry_run:
-        return change
-    return (
-        *change,
-        result.slider.phase,
-        # Numbers come and go.
-        re.sub(r"[0-9.]+", "", result.slider.reason),
-    )
-
-
-def describe_health(result: TickResult, *, dry_run: bool) -> str:
-    """Returns one line: state, phase of the slider, and why.
-
-    Args:
-        result: Of the newest tick.
-        dry_run: Whether nothing is written, so that the slider can not obey.
-    """
-    state = RobotState(result.robot_state).name.lower()
-    if dry_run:
-        return result.reason
-    phase = result.slider.phase.name.lower()
-    return f"{state}, slider {phase}: {result.health or 'all is well'}"
-
-
-def describe_status(result, report, status, now: float) -> str:
-    """Returns the status line: state, distance, slider, ages, gaps.
-
-    Args:
-        result: Of the newest tick.
-        report: The robot's newest.
-        status: Of the connection.
-        now: Host's time, s.
-    """
-    distance = result.separation.distance
-    nearest = int(distance.argmin())
-    near = "clear"
-    if math.isfinite(distance[nearest]):
-        near = f"{RINGS[nearest]} {distance[nearest]:.2f} m"
-    age = 1e3 * (now - report.time)
-    parts = [
-        RobotState(result.robot_state).name.lower(),
-        near,
-        f"rho {result.speed_fraction:.2f}, slider "
-        f"{report.target_speed_fraction:.2f}",
-        f"robot {age:.0f} ms, {status.missed} missed",
-        f"{result.products_placed} placed",
-    ]
-    if result.slider.reason:
-        parts.append(result.slider.reason)
-    if status.problem:
-        parts.append(f"robot: {status.problem}")
-    return " | ".join(parts)
 
 
 def _write_report(loop, scenario, end, out, name, command, is_real):

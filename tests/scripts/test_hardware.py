@@ -107,6 +107,39 @@ class TestHardware(unittest.TestCase):
             (code, out.split(", ")[-1]), (0, "all states as recorded\n")
         )
 
+    def test_the_tick_is_the_robots(self):
+        """An e-Series needs no setting; what does not fit it is refused."""
+        path = self.folder / "run.mcap"
+        with serve(make_robot(series="e")) as server:
+            for options, period in (
+                ((), 0.002),
+                (("--control-period", 0.008), 0.008),
+            ):
+                with self.subTest(options=options):
+                    code, _, err = run_hardware(
+                        server,
+                        *("--duration", 0.5, "--record", path, *options),
+                    )
+                    self.assertEqual(code, 0, err)
+                    self.assertIn(
+                        f"software 5.12.4, 500 Hz; control tick "
+                        f"{1e3 * period:g} ms\n",
+                        err,
+                    )
+                    reader = RunReader(path)
+                    scenario = reader.run["scenario"]
+                    self.assertEqual(scenario["control_period"], period)
+                    self.assertEqual(scenario["audit"]["rtde_period"], 0.002)
+                    times = np.array([t.time for t in reader.read_ticks()])
+                    # A command for each report, whatever the tick.
+                    self.assertAlmostEqual(
+                        np.diff(times).min(), 0.002, delta=1e-5
+                    )
+                    self.assertEqual(run_replay(path)[0], 0)
+            code, _, err = run_hardware(server, "--control-period", 0.003)
+            self.assertEqual(code, 2)
+            self.assertIn("must be a multiple of 0.002 s", err)
+
     def test_replay_tells_a_difference(self):
         path = self.folder / "run.mcap"
         with serve() as server:
