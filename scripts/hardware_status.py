@@ -141,6 +141,7 @@ class Changes:
     def __init__(self, *, dry_run: bool):
         self._dry_run = dry_run
         self._told = None
+        self._health = None
         self._stopped = False
         self._since = -math.inf
 
@@ -164,6 +165,9 @@ class Changes:
             return ""
         self._told = told
         health = describe_health(result, dry_run=self._dry_run)
+        if health == self._health:
+            return ""
+        self._health = health
         return f"{result.time:8.2f} s  {health}"
 
 
