@@ -348,6 +348,7 @@ def _write_report(loop, scenario, end, out, name, command, is_real):
     )
     if is_real:
         # Nothing that is compared with a person's truth means anything.
+        samples.metadata["human"] = "not known: real rings"
         summary |= {"person_is_known": False, "ghost_s_by_ring": {}}
     write_results(samples, summary, out)
     print(
