@@ -16,10 +16,12 @@ from tofssm_drake.diagrams.workcell import Workcell, make_workcell
 from tofssm_drake.hardware.held_connections import HeldRings, HeldRobot
 from tofssm_drake.hardware.slider import (
     SliderConfig,
+    SliderPhase,
     SliderState,
 )
 from tofssm_drake.messages import (
     RINGS,
+    RingHealth,
     RingScan,
     RobotReport,
     RobotState,
@@ -28,6 +30,13 @@ from tofssm_drake.messages import (
 from tofssm_drake.robot.kinematics import RingKinematics
 from tofssm_drake.robot.program import make_program_path
 from tofssm_drake.ssm.sensing_problem import find_sensing_problem
+from tofssm_drake.visualization.health_board import (
+    BLIND,
+    FAULT,
+    HELD,
+    OK,
+    HealthBoard,
+)
 
 # The world of virtual rings, or made-up scans, for so many periods of them.
 _WARM_UP = 3
@@ -76,6 +85,33 @@ class TickResult:
         if self.robot_state != RobotState.NORMAL:
             reasons.insert(0, self.reason)
         return "; ".join(filter(None, reasons))
+
+
+def describe_links(result: TickResult, *, deadline: float) -> dict[str, str]:
+    """Returns the health of rings and robot, as `HealthBoard` shows it.
+
+    Args:
+        result: Of the newest tick.
+        deadline: How old the law lets a sample be, s.
+    """
+    separation = result.separation
+    status = {}
+    for i, ring in enumerate(separation.name):
+        health = separation.health[i]
+        is_fresh = abs(result.time - separation.time[i]) <= deadline
+        if separation.sequence[i] < 0 or not is_fresh:
+            status[ring] = FAULT
+        elif health == RingHealth.BLIND:
+            status[ring] = BLIND
+        else:
+            status[ring] = OK if health == RingHealth.HEALTHY else FAULT
+    if result.slider.phase == SliderPhase.FAULT:
+        status["robot"] = FAULT
+    elif result.slider.phase in (SliderPhase.FOLLOWING, SliderPhase.RISING):
+        status["robot"] = OK
+    else:
+        status["robot"] = HELD
+    return status
 
 
 def _update(system, context):
@@ -150,8 +186,11 @@ class HardwareLoop:
             if virtual_rings
             else station.GetSubsystemByName("ring_subscriber")
         )
+        self._board = None
         self._warm_up()
         self._start(self._workcell.make_context(scenario.random_seed))
+        if meshcat is not None:
+            self._board = HealthBoard(meshcat=meshcat)
         self._sending = True
 
     @property
@@ -203,7 +242,10 @@ class HardwareLoop:
         # anew.
         slider = self._slider_state.Eval(self._slider_context)
         self._slider_context.SetAbstractState(0, slider)
-        return self._read(given, problem, slider)
+        result = self._read(given, problem, slider)
+        if self._board is not None:
+            self._board.show(describe_links(result, deadline=self._deadline))
+        return result
 
     def _take_scans(self, given):
         """Lets the rings' subscriber look, if there is anything to see."""

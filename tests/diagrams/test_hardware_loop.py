@@ -1,10 +1,16 @@
 """The monitor on a robot that is handed its data by a test."""
 
+import dataclasses as dc
+import types
 import unittest
 
 import numpy as np
 
-from tofssm_drake.diagrams.hardware_loop import HardwareLoop, TickInput
+from tofssm_drake.diagrams.hardware_loop import (
+    HardwareLoop,
+    TickInput,
+    describe_links,
+)
 from tofssm_drake.diagrams.scenario import load_scenario
 from tofssm_drake.hardware.rtde_fields import (
     RobotMode,
@@ -12,7 +18,11 @@ from tofssm_drake.hardware.rtde_fields import (
     SafetyMode,
 )
 from tofssm_drake.hardware.slider import SliderPhase
-from tofssm_drake.messages import RobotReport
+from tofssm_drake.messages import (
+    RingHealth,
+    RobotReport,
+    make_empty_separation,
+)
 from tofssm_drake.robot.kinematics import RingKinematics
 from tofssm_drake.robot.program import make_program_path
 
@@ -138,3 +148,45 @@ class TestRobot(unittest.TestCase):
         self.assertEqual(self.sent[-1].speed_fraction, 0.0)
         # The heartbeat stands still, so that the robot's watchdog bites.
         self.assertEqual(self.sent[-1].heartbeat, self.sent[-2].heartbeat)
+
+
+class TestLinks(unittest.TestCase):
+    def describe(self, phase=SliderPhase.FOLLOWING, now=1.05, **changes):
+        separation = dc.replace(
+            make_empty_separation(),
+            **{
+                "sequence": np.array([3, 3, 3]),
+                "time": np.array([1.0, 1.0, 1.0]),
+                "health": np.array([RingHealth.HEALTHY] * 3),
+            }
+            | changes,
+        )
+        result = types.SimpleNamespace(
+            time=now,
+            separation=separation,
+            slider=types.SimpleNamespace(phase=phase),
+        )
+        return list(describe_links(result, deadline=0.1).values())
+
+    def test_words(self):
+        self.assertEqual(self.describe(), ["OK"] * 4)
+        self.assertEqual(
+            self.describe(
+                health=np.array(
+                    [RingHealth.BLIND, RingHealth.FAULTED, RingHealth.HEALTHY]
+                )
+            ),
+            ["BLIND", "FAULT", "OK", "OK"],
+        )
+        self.assertEqual(self.describe(now=1.2), ["FAULT"] * 3 + ["OK"])
+        self.assertEqual(
+            self.describe(sequence=np.array([3, -1, 3])),
+            ["OK", "FAULT", "OK", "OK"],
+        )
+        for phase, word in (
+            (SliderPhase.RISING, "OK"),
+            (SliderPhase.HOLDING, "HELD"),
+            (SliderPhase.WAITING, "HELD"),
+            (SliderPhase.FAULT, "FAULT"),
+        ):
+            self.assertEqual(self.describe(phase)[3], word)
