@@ -1,9 +1,10 @@
 # Two commands on a fresh machine with python3 >= 3.11, make and git:
 #   make run     runs the default scenario and says where the report is
 #   make test    checks format and lint, then runs the tests
-# and two more:
+# and three more:
 #   make bench   measures speed
 #   make hardware-demo   runs the hardware's program on a simulated robot
+#   make fault-table     measures how fast each fault stops that robot
 
 PYTHON ?= python3
 VENV := .venv
@@ -17,7 +18,7 @@ CHECK_DRAKE := @$(BIN)/python -c 'import pydrake.common' 2> /dev/null || \
 	scripts/install_system_packages.sh \
 	  "Drake lacks libraries" libglib2.0-0 libsm6 libx11-6
 
-.PHONY: run hardware-demo test bench format clean
+.PHONY: run hardware-demo fault-table test bench format clean
 
 run: $(VENV)/.installed
 	$(BIN)/tofssm simulate --out $(OUT)
@@ -32,6 +33,9 @@ test: $(VENV)/.installed-test
 
 bench: $(VENV)/.installed-test
 	$(BIN)/python -m pytest benchmarks --benchmark-columns=min,median,max,rounds
+
+fault-table: $(VENV)/.installed-test
+	$(BIN)/python tests/hardware/fault_table.py
 
 format: $(VENV)/.installed-test
 	$(BIN)/ruff format .

@@ -1,29 +1,42 @@
 """Runs the monitor on a real robot's reports, one tick for each of them."""
 
 import dataclasses as dc
+import math
+import time
 
 import numpy as np
-from pydrake.common.value import Value
+from pydrake.common.value import AbstractValue
 from pydrake.geometry import Meshcat
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Context
 
 from tofssm_drake.diagrams.hardware_station import make_hardware_station
-from tofssm_drake.diagrams.scenario import Scenario
+from tofssm_drake.diagrams.scenario import Scenario, make_law
 from tofssm_drake.diagrams.workcell import Workcell, make_workcell
 from tofssm_drake.hardware.held_connections import HeldRings, HeldRobot
 from tofssm_drake.hardware.slider import (
     SliderConfig,
+    SliderPhase,
     SliderState,
 )
 from tofssm_drake.messages import (
     RINGS,
+    RingHealth,
     RingScan,
     RobotReport,
+    RobotState,
     Separation,
 )
 from tofssm_drake.robot.kinematics import RingKinematics
 from tofssm_drake.robot.program import make_program_path
+from tofssm_drake.ssm.sensing_problem import find_sensing_problem
+from tofssm_drake.visualization.health_board import (
+    BLIND,
+    FAULT,
+    HELD,
+    OK,
+    HealthBoard,
+)
 
 # The world of virtual rings, or made-up scans, for so many periods of them.
 _WARM_UP = 3
@@ -52,11 +65,58 @@ class TickResult:
     """Number of the state."""
     ring_states: tuple[int, ...]
     reason: str
+    problem: str
+    """Why the sensing is not fresh and healthy; empty: it is."""
     speed_fraction: float
     slider: SliderState
     separation: Separation
     products_placed: int
     task_done: bool
+    sent: float
+    """Host's time when the command had been handed over, s; NaN: it was not."""
+
+    @property
+    def health(self) -> str:
+        """Why the robot does not run at full speed, in one line.
+
+        The law's reason and the slider's; empty: it does.
+        """
+        reasons = [self.slider.reason]
+        if self.robot_state != RobotState.NORMAL:
+            reasons.insert(0, self.reason)
+        return "; ".join(filter(None, reasons))
+
+
+def describe_links(result: TickResult, *, deadline: float) -> dict[str, str]:
+    """Returns the health of rings and robot, as `HealthBoard` shows it.
+
+    Args:
+        result: Of the newest tick.
+        deadline: How old the law lets a sample be, s.
+    """
+    separation = result.separation
+    status = {}
+    for i, ring in enumerate(separation.name):
+        health = separation.health[i]
+        is_fresh = abs(result.time - separation.time[i]) <= deadline
+        if separation.sequence[i] < 0 or not is_fresh:
+            status[ring] = FAULT
+        elif health == RingHealth.BLIND:
+            status[ring] = BLIND
+        else:
+            status[ring] = OK if health == RingHealth.HEALTHY else FAULT
+    if result.slider.phase == SliderPhase.FAULT:
+        status["robot"] = FAULT
+    elif result.slider.phase in (SliderPhase.FOLLOWING, SliderPhase.RISING):
+        status["robot"] = OK
+    else:
+        status["robot"] = HELD
+    return status
+
+
+def _update(system, context):
+    """Makes a system's forced update, in place."""
+    system.CalcForcedUnrestrictedUpdate(context, context.get_mutable_state())
 
 
 class HardwareLoop:
@@ -69,6 +129,7 @@ class HardwareLoop:
         slider: Settings of the slider.
         gripper_output: Number of the digital output that closes the gripper.
         meshcat: Where to show the twin; None shows nothing.
+        with_samples: Keep samples for a report; they grow with the run.
     """
 
     def __init__(
@@ -80,34 +141,56 @@ class HardwareLoop:
         slider: SliderConfig | None = None,
         gripper_output: int = 0,
         meshcat: Meshcat | None = None,
+        with_samples: bool = False,
     ):
         self._scenario = scenario
         self._sending = False
         self._send = send
         self._initialized = False
+        self._deadline = make_law(scenario).deadline
+        slider = SliderConfig() if slider is None else slider
         self._station = make_hardware_station(
             scenario,
             robot=HeldRobot(self._send_if_live),
             rings=None if virtual_rings else HeldRings(),
-            slider=slider,
+            slider=dc.replace(
+                slider, reduced_fraction=scenario.ssm.rho_reduced
+            ),
             gripper_output=gripper_output,
         )
         self._workcell = make_workcell(
-            scenario, station=self._station, meshcat=meshcat
+            scenario,
+            station=self._station,
+            meshcat=meshcat,
+            with_samples=with_samples,
         )
         self._monitor = self._workcell.diagram.GetSubsystemByName("monitor")
+        # Looked up once, not in each tick.
+        self._answers = {
+            name: self._monitor.GetOutputPort(name)
+            for name in (
+                "robot_state",
+                "ring_states",
+                "reason",
+                "speed_fraction",
+                "separation",
+            )
+        }
         station = self._station.diagram
         self._publisher = station.GetSubsystemByName("robot_publisher")
+        self._robot = station.GetSubsystemByName("robot_subscriber")
         self._slider = station.GetSubsystemByName("slider_control")
-        self._clock_offset = (
+        self._slider_state = self._slider.GetOutputPort("slider")
+        self._rings = (
             None
             if virtual_rings
-            else station.GetSubsystemByName("ring_subscriber").GetInputPort(
-                "clock_offset"
-            )
+            else station.GetSubsystemByName("ring_subscriber")
         )
+        self._board = None
         self._warm_up()
         self._start(self._workcell.make_context(scenario.random_seed))
+        if meshcat is not None:
+            self._board = HealthBoard(meshcat=meshcat)
         self._sending = True
 
     @property
@@ -130,62 +213,106 @@ class HardwareLoop:
             What the monitor says of it and what was sent.
         """
         self._station.robot.report = given.report
-        if self._clock_offset is not None:
+        if self._rings is not None:
             self._station.rings.scans = given.scans
-            self._clock_offset.FixValue(
-                self._ring_context, [given.clock_offset]
-            )
+            offset = self._clock_offset.GetMutableData().get_mutable_value()
+            offset[0] = given.clock_offset
         if not self._initialized:
             # With the first report, or the record would begin without one.
             self._simulator.Initialize()
             self._initialized = True
+        _update(self._robot, self._robot_context)
         self._simulator.AdvanceTo(given.time)
+        if self._rings is not None:
+            self._take_scans(given)
         # The tick's own events: without it they would wait for the next one.
         self._simulator.AdvancePendingEvents()
-        self._slider.GetInputPort("report").FixValue(
-            self._slider_context, Value(given.report)
+        problem = find_sensing_problem(
+            index=self._ask("separation"),
+            now=given.time,
+            deadline=self._deadline,
         )
+        self._shown_report.GetMutableData().set_value(given.report)
+        if problem != self._problem:
+            self._problem = problem
+            self._shown_problem.GetMutableData().set_value(problem)
+        self._sent = math.nan
         self._publisher.ForcedPublish(self._publisher_context)
-        return self._read(given)
+        # What was published is remembered; a forced update would compute it
+        # anew.
+        slider = self._slider_state.Eval(self._slider_context)
+        self._slider_context.SetAbstractState(0, slider)
+        result = self._read(given, problem, slider)
+        if self._board is not None:
+            self._board.show(describe_links(result, deadline=self._deadline))
+        return result
 
-    def _read(self, given):
-        def ask(name):
-            return self._monitor.GetOutputPort(name).Eval(self._monitor_context)
+    def _take_scans(self, given):
+        """Lets the rings' subscriber look, if there is anything to see."""
+        if [scan.sequence for scan in given.scans] == self._taken:
+            return
+        _update(self._rings, self._ring_context)
+        self._taken = [
+            self._rings.get_output_port(i).Eval(self._ring_context).sequence
+            for i in range(len(RINGS))
+        ]
 
+    def _ask(self, name):
+        return self._answers[name].Eval(self._monitor_context)
+
+    def _ask_reason(self):
+        """Words cost more than numbers: they are made for what is new."""
+        reasons_for = self._ask("separation"), self._ask("robot_state")[0]
+        if reasons_for != self._reasons_for:
+            self._reasons_for = reasons_for
+            self._reason = self._ask("reason")
+        return self._reason
+
+    def _read(self, given, problem, slider):
+        ask = self._ask
         report = given.report
         return TickResult(
             time=given.time,
             robot_state=int(ask("robot_state")[0]),
             ring_states=tuple(int(s) for s in ask("ring_states")),
-            reason=ask("reason"),
+            reason=self._ask_reason(),
+            problem=problem,
             speed_fraction=float(ask("speed_fraction")[0]),
-            slider=self._slider.GetOutputPort("slider").Eval(
-                self._slider_context
-            ),
+            slider=slider,
             separation=ask("separation"),
             products_placed=max(report.products_placed, 0),
             task_done=report.products_placed >= self._scenario.program.products,
+            sent=self._sent,
         )
 
     def _start(self, context):
         self._simulator = Simulator(self._workcell.diagram, context)
         root = self._simulator.get_mutable_context()
-        station = self._station.diagram
         self._monitor_context = self._monitor.GetMyContextFromRoot(root)
         self._publisher_context = self._publisher.GetMyContextFromRoot(root)
+        self._robot_context = self._robot.GetMyMutableContextFromRoot(root)
         self._slider_context = self._slider.GetMyMutableContextFromRoot(root)
-        self._slider.GetInputPort("report").FixValue(
-            self._slider_context, Value(RobotReport())
+        self._shown_report, self._shown_problem = (
+            self._slider.GetInputPort(name).FixValue(
+                self._slider_context, AbstractValue.Make(value)
+            )
+            for name, value in (("report", RobotReport()), ("problem", ""))
         )
-        if self._clock_offset is not None:
-            self._ring_context = station.GetSubsystemByName(
-                "ring_subscriber"
-            ).GetMyMutableContextFromRoot(root)
-            self._clock_offset.FixValue(self._ring_context, [0.0])
+        self._problem = ""
+        self._reasons_for = self._reason = None
+        self._taken = None
+        if self._rings is not None:
+            self._ring_context = self._rings.GetMyMutableContextFromRoot(root)
+            self._clock_offset = self._rings.GetInputPort(
+                "clock_offset"
+            ).FixValue(self._ring_context, [0.0])
         self._initialized = False
 
     def _send_if_live(self, command):
-        return self._sending and self._send is not None and self._send(command)
+        if not self._sending or self._send is None or not self._send(command):
+            return False
+        self._sent = time.monotonic()
+        return True
 
     def _warm_up(self):
         """Runs a few ticks in vain: the first call of a kernel is slow."""

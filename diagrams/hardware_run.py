@@ -5,7 +5,10 @@
 Whatever ends it, the connection is closed, which puts the slider to 0.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+import contextlib
+import gc
+import sys
 import time
 
 import numpy as np
@@ -33,6 +36,8 @@ _LONGEST_SILENCE = 10.0
 # Reports that come so much later than the fastest ones end the run, s.
 _LATEST = 0.25
 _PATH_STEP = 0.05
+# How long a thread may compute while another one waits, s.
+_SWITCH_INTERVAL = 0.0005
 # Between two lines about what is waited for, s.
 _QUIET = 2.0
 
@@ -84,6 +89,87 @@ def require_ready(
     )
 
 
+@contextlib.contextmanager
+def keep_interpreter_quiet() -> Iterator[None]:
+    """Keeps Python's housekeeping out of the way of the loop.
+
+    All that exists is spared by the garbage collector: looking through it
+    took longer than many control cycles. And a thread that received something
+    need not wait long for one that computes.
+    """
+    interval = sys.getswitchinterval()
+    gc.collect()
+    gc.freeze()
+    sys.setswitchinterval(_SWITCH_INTERVAL)
+    try:
+        yield
+    finally:
+        sys.setswitchinterval(interval)
+        gc.unfreeze()
+
+
+def wait_for_robot(
+    robot: RobotConnection,
+    *,
+    timeout: float,
+    tell: Callable[[str], None],
+    is_stopped: Callable[[], bool],
+) -> bool:
+    """Waits until the robot has reported.
+
+    Args:
+        robot: Where reports come from.
+        timeout: Longest wait, s.
+        tell: Called with what is waited for, whenever that changes.
+        is_stopped: Whether to give up.
+
+    Returns:
+        Whether it has; False: it was given up.
+
+    Raises:
+        UserError: The time is over.
+    """
+
+    def has_reported():
+        return robot.wait_for_report(after=-1, timeout=_WAIT).sequence >= 0
+
+    def find_problem():
+        problem = robot.get_status().problem
+        return f"no report from the robot: {problem or 'it is silent'}"
+
+    return _wait(has_reported, find_problem, timeout, tell, is_stopped)
+
+
+def set_control_period(
+    scenario: Scenario, *, frequency: float, control_period: float | None
+) -> None:
+    """Puts the scenario's control tick onto the robot's reports.
+
+    Args:
+        scenario: Checked settings; changed in place.
+        frequency: Reports per second.
+        control_period: Control tick that the user wants, s; None: one for
+            each report.
+
+    Raises:
+        UserError: The reports can not make such ticks.
+    """
+    period = 1.0 / frequency
+    if control_period is not None:
+        ticks = control_period / period
+        require(
+            round(ticks) >= 1 and abs(ticks - round(ticks)) < 1e-6,
+            f"--control-period: must be a multiple of {period:g} s, since the "
+            f"robot reports at {frequency:g} Hz; got {control_period:g}",
+        )
+        period = control_period
+    scenario.control_period = period
+    scenario.audit.rtde_period = 1.0 / frequency
+    # The simulated arm is not used, but its settings must fit.
+    scenario.robot.time_step = min(scenario.robot.time_step, period)
+    scenario.check()
+
+
 class HardwareRun:
     """Robot, rings and monitor, one tick for each of the robot's reports.
 
@@ -93,6 +179,7 @@ class HardwareRun:
         rings: Where scans come from; None: they are virtual.
         period: Control tick, s.
         record: What everything is written to; None: nothing is.
+        clock: Shows the host's time, s.
     """
 
     def __init__(
@@ -103,14 +190,16 @@ class HardwareRun:
         rings: RingConnection | None,
         period: float,
         record: RunRecorder | None = None,
+        clock: Callable[[], float] = time.monotonic,
     ):
         self._loop = loop
         self._robot = robot
         self._rings = rings
         self._record = record
-        self._clock = RobotClock(period=period)
+        self._robot_clock = RobotClock(period=period)
+        self._clock = clock
         self._sequence = -1
-        self._heard = time.monotonic()
+        self._heard = clock()
         self.ticks = 0
         """Reports answered."""
 
@@ -134,18 +223,9 @@ class HardwareRun:
         Raises:
             UserError: The time is over.
         """
-
-        def has_reported():
-            return (
-                self._robot.wait_for_report(after=-1, timeout=_WAIT).sequence
-                >= 0
-            )
-
-        def find_problem():
-            problem = self._robot.get_status().problem
-            return f"no report from the robot: {problem or 'it is silent'}"
-
-        if not _wait(has_reported, find_problem, timeout, tell, is_stopped):
+        if not wait_for_robot(
+            self._robot, timeout=timeout, tell=tell, is_stopped=is_stopped
+        ):
             return None
         if self._rings is not None and not _wait(
             lambda: self._rings.wait_for_scans(_WAIT),
@@ -155,7 +235,7 @@ class HardwareRun:
             is_stopped,
         ):
             return None
-        self._heard = time.monotonic()
+        self._heard = self._clock()
         return self._robot.get_report()
 
     def step(self) -> TickResult | None:
@@ -171,7 +251,7 @@ class HardwareRun:
             after=self._sequence, timeout=_WAIT
         )
         if report.sequence <= self._sequence:
-            silence = time.monotonic() - self._heard
+            silence = self._clock() - self._heard
             problem = self._robot.get_status().problem
             require(
                 silence <= _LONGEST_SILENCE,
@@ -181,16 +261,17 @@ class HardwareRun:
             return None
         self._sequence = report.sequence
         self._heard = report.time
-        tick_time = self._clock.update(report)
+        tick_time = self._robot_clock.update(report)
+        lateness = self._robot_clock.lateness
         require(
-            self._clock.lateness <= _LATEST,
-            f"robot: reports come {1e3 * self._clock.lateness:.0f} ms late",
+            lateness <= _LATEST,
+            f"robot: reports come {1e3 * lateness:.0f} ms late",
         )
         given = TickInput(
             time=tick_time,
             report=report,
             scans=() if self._rings is None else self._rings.get_scans(),
-            clock_offset=self._clock.offset,
+            clock_offset=self._robot_clock.offset,
         )
         result = self._loop.tick(given)
         self.ticks += 1
@@ -208,6 +289,8 @@ def make_recorded_tick(given: TickInput, result: TickResult) -> RecordedTick:
         scans=given.scans,
         command=result.slider.command,
         state=describe_state(result),
+        sent=result.sent,
+        busy=time.process_time(),
     )
 
 
@@ -220,10 +303,7 @@ def describe_state(result: TickResult) -> dict:
         "speed_fraction": result.speed_fraction,
         "slider_phase": int(result.slider.phase),
         "slider_reason": result.slider.reason,
-        "distance": [
-            d if np.isfinite(d) else None
-            for d in result.separation.distance.tolist()
-        ],
+        "distance": result.separation.distance.tolist(),
     }
 
 

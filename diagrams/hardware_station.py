@@ -65,9 +65,13 @@ def make_hardware_station(
     The ports are those of `make_station`, and so is their order. Of a real
     person nothing is known: the scene has none, and `skeleton` is empty.
 
-    The input `report` of the slider's control is open: the loop fixes it to
-    the report that the monitor has seen, once the monitor's tick is over. So
-    a command answers a report with what was computed of that same report.
+    Two inputs of the slider's control are open: the loop fixes `report` to
+    the report that the monitor has seen, and `problem` to what is wrong with
+    its data, once the monitor's tick is over. So a command answers a report
+    with what was computed of that same report. The loop also tells when
+    reports and scans are taken, by forced updates of `robot_subscriber` and
+    `ring_subscriber`, and makes what was published the State of
+    `slider_control`.
 
     Args:
         scenario: Checked settings; rings on the arm.
@@ -136,7 +140,9 @@ def _add_robot(builder, robot, receiver):
     )
     subscriber = builder.AddNamedSystem(
         "robot_subscriber",
-        RtdeSubscriberSystem(connection=interface.connection, wait_timeout=0.0),
+        RtdeSubscriberSystem(
+            connection=interface.connection, wait_timeout=0.0, per_step=False
+        ),
     )
     builder.AddNamedSystem("robot_report_receiver", receiver)
     builder.Connect(
@@ -152,7 +158,9 @@ def _add_rings(builder, rings):
     )
     subscriber = builder.AddNamedSystem(
         "ring_subscriber",
-        RingSubscriberSystem(connection=interface.connection, wait_timeout=0.0),
+        RingSubscriberSystem(
+            connection=interface.connection, wait_timeout=0.0, per_step=False
+        ),
     )
     for name in RINGS:
         builder.ExportOutput(
@@ -163,7 +171,7 @@ def _add_rings(builder, rings):
 def _add_slider(builder, robot, config):
     """Adds what moves the slider."""
     control = builder.AddNamedSystem(
-        "slider_control", SliderControl(config=config)
+        "slider_control", SliderControl(config=config, per_step=False)
     )
     publisher = builder.AddNamedSystem(
         "robot_publisher", RtdePublisherSystem(connection=robot)

@@ -33,7 +33,8 @@ class Workcell:
 
     diagram: Diagram
     station: Station
-    recorder: SampleRecorder
+    recorder: SampleRecorder | None
+    """None: no samples are kept."""
 
     def make_context(self, random_seed: int) -> Context:
         """Returns a Context whose random sources start from a seed."""
@@ -47,6 +48,7 @@ def make_workcell(
     *,
     station: Station | None = None,
     meshcat: Meshcat | None = None,
+    with_samples: bool = True,
 ) -> Workcell:
     """Makes the closed loop of a scenario.
 
@@ -54,6 +56,7 @@ def make_workcell(
         scenario: Checked settings.
         station: Of the same scenario; None makes a simulated one.
         meshcat: Where to show the cell; None shows nothing.
+        with_samples: Keep samples for a report; they grow with the run.
 
     Returns:
         The Diagram, ready for a Simulator, and its parts.
@@ -75,7 +78,9 @@ def make_workcell(
         monitor.GetOutputPort("speed_fraction"),
         station.diagram.GetInputPort("speed_fraction"),
     )
-    recorder = _add_recorder(builder, scenario, station, monitor)
+    recorder = None
+    if with_samples:
+        recorder = _add_recorder(builder, scenario, station, monitor)
     if meshcat is not None:
         _add_display(builder, scenario, station, monitor, meshcat)
     diagram = builder.Build()

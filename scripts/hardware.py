@@ -10,12 +10,16 @@ import time
 from typing import Annotated
 
 from rich.console import Console
-from rich.live import Live
-from rich.text import Text
 import typer
 
 from tofssm_drake.diagrams.hardware_loop import HardwareLoop, TickResult
-from tofssm_drake.diagrams.hardware_run import HardwareRun, require_ready
+from tofssm_drake.diagrams.hardware_run import (
+    HardwareRun,
+    keep_interpreter_quiet,
+    require_ready,
+    set_control_period,
+    wait_for_robot,
+)
 from tofssm_drake.diagrams.scenario import (
     NoHuman,
     dump_scenario,
@@ -26,10 +30,11 @@ from tofssm_drake.errors import UserError, require
 from tofssm_drake.hardware.ring_address import parse_ring_address
 from tofssm_drake.hardware.ring_link import RingLink
 from tofssm_drake.hardware.ring_receiver import RingDecoder, RingLinkConfig
+from tofssm_drake.hardware.robot_connection import RtdeStatus
 from tofssm_drake.hardware.rtde_client import RtdeClient, RtdeConfig
 from tofssm_drake.hardware.run_record import RunRecorder
 from tofssm_drake.hardware.slider import SliderConfig
-from tofssm_drake.messages import RINGS, RobotState
+from tofssm_drake.scripts.hardware_status import HardwareStatus
 import tofssm_drake.scripts.options as options
 from tofssm_drake.scripts.simulate import (
     catch_stop,
@@ -41,8 +46,6 @@ from tofssm_drake.scripts.simulate import (
 )
 
 _VIRTUAL = "virtual"
-# Between two status lines, s.
-_STATUS_PERIOD = 0.2
 
 _console = Console(stderr=True, highlight=False)
 
@@ -98,6 +101,13 @@ def hardware(
         float,
         typer.Option(help="Where a stop leaves the slider, 0 to 0.1."),
     ] = 0.0,
+    control_period: Annotated[
+        float | None,
+        typer.Option(
+            help="Control tick, s; a multiple of the robot's cycle. Without "
+            "it there is a tick for each of the robot's reports."
+        ),
+    ] = None,
     wait: Annotated[
         float, typer.Option(help="Longest wait for robot and for rings, s.")
     ] = 30.0,
@@ -153,14 +163,16 @@ def hardware(
     )
     if not is_virtual:
         scenario.human = NoHuman()
-    slider = SliderConfig(minimum_fraction=minimum_fraction)
+    slider = SliderConfig(
+        minimum_fraction=minimum_fraction,
+        reduced_fraction=scenario.ssm.rho_reduced,
+    )
     slider.check("slider")
     robot_config = RtdeConfig(
         host=robot_host, port=robot_port, write=not dry_run
     )
     robot_config.check("robot")
-    options = {
-        "scenario": dump_scenario(scenario),
+    run_options = {
         "virtual_rings": is_virtual,
         "minimum_fraction": minimum_fraction,
         "dry_run": dry_run,
@@ -172,7 +184,7 @@ def hardware(
         stopped = stack.enter_context(catch_stop())
         recorder = None
         if record is not None:
-            recorder = stack.enter_context(RunRecorder(record, options))
+            recorder = stack.enter_context(RunRecorder(record))
         link = None
         if addresses:
             link = stack.enter_context(
@@ -192,6 +204,24 @@ def hardware(
         )
         # Closed first of all: that puts the slider to 0.
         stack.enter_context(robot)
+        waiting = {
+            "timeout": wait,
+            "tell": _console.print,
+            "is_stopped": lambda: bool(stopped),
+        }
+        if not wait_for_robot(robot, **waiting):
+            print("interrupted before the start")
+            return 130
+        status = robot.get_status()
+        set_control_period(
+            scenario,
+            frequency=status.frequency,
+            control_period=control_period,
+        )
+        if recorder is not None:
+            recorder.add_run(
+                {"scenario": dump_scenario(scenario), **run_options}
+            )
         display = make_display() if meshcat else None
         if display is not None:
             print(f"watch at {display.web_url()}", flush=True)
@@ -201,7 +231,9 @@ def hardware(
             send=None if dry_run else robot.send,
             slider=slider,
             meshcat=display,
+            with_samples=out is not None,
         )
+        stack.enter_context(keep_interpreter_quiet())
         run = HardwareRun(
             loop=loop,
             robot=robot,
@@ -209,11 +241,7 @@ def hardware(
             period=scenario.control_period,
             record=recorder,
         )
-        first = run.wait(
-            timeout=wait,
-            tell=_console.print,
-            is_stopped=lambda: bool(stopped),
-        )
+        first = run.wait(**waiting)
         if first is None:
             print("interrupted before the start")
             return 130
@@ -223,6 +251,7 @@ def hardware(
             loop.workcell.station.plant,
             max_deviation=math.inf if any_pose else 0.5,
         )
+        _console.print(describe_robot(status, scenario.control_period))
         end = _run(run, robot, link, stopped, duration, dry_run)
         robot.close()
     print(f"{end.reason}; {_describe_slider(dry_run)}", flush=True)
@@ -233,7 +262,7 @@ def hardware(
             end,
             out,
             scenario_name,
-            options["command"],
+            run_options["command"],
             is_real=not is_virtual,
         )
     return end.code
@@ -253,7 +282,7 @@ def _run(run, robot, link, stopped, duration, dry_run):
     """Runs until something ends it; closes the robot before it tells."""
     result = None
     begin = time.monotonic()
-    status = _Status(robot, link, dry_run)
+    status = HardwareStatus(robot=robot, link=link, dry_run=dry_run)
     try:
         with status:
             while True:
@@ -280,85 +309,22 @@ def _run(run, robot, link, stopped, duration, dry_run):
     return end
 
 
-def _describe_slider(dry_run):
-    return "nothing was written (dry run)" if dry_run else "slider set to 0"
-
-
-class _Status:
-    """One line that is always there, and one for each stop or new phase."""
-
-    def __init__(self, robot, link, dry_run):
-        self._robot = robot
-        self._link = link
-        self._dry_run = dry_run
-        self._live = Live(console=_console, auto_refresh=False, transient=True)
-        self._shown = -math.inf
-        self._state = None
-
-    def __enter__(self):
-        if _console.is_terminal:
-            self._live.__enter__()
-        return self
-
-    def __exit__(self, *exception):
-        if _console.is_terminal:
-            self._live.__exit__(*exception)
-
-    def show(self, result: TickResult | None) -> None:
-        """Shows what is new, now and then."""
-        if result is None:
-            return
-        told = result.robot_state == RobotState.STOP, result.slider.phase
-        if told != self._state:
-            self._state = told
-            reason = result.slider.reason or result.reason
-            _console.print(
-                f"{result.time:8.2f} s  "
-                f"{RobotState(result.robot_state).name.lower()}, slider "
-                f"{result.slider.phase.name.lower()}: {reason}",
-                markup=False,
-                soft_wrap=True,
-            )
-        now = time.monotonic()
-        if not _console.is_terminal or now - self._shown < _STATUS_PERIOD:
-            return
-        self._shown = now
-        line = describe_status(
-            result, self._robot.get_report(), self._robot.get_status(), now
-        )
-        if self._link is not None:
-            line += f" | {self._link.get_status().describe(now)}"
-        if self._dry_run:
-            line += " | dry run"
-        self._live.update(Text(line), refresh=True)
-
-
-def describe_status(result, report, status, now: float) -> str:
-    """Returns the status line: state, distance, slider, ages, gaps.
+def describe_robot(status: RtdeStatus, control_period: float) -> str:
+    """Returns the line that tells what robot answered, and the tick.
 
     Args:
-        result: Of the newest tick.
-        report: The robot's newest.
         status: Of the connection.
-        now: Host's time, s.
+        control_period: Control tick, s.
     """
-    distance = result.separation.distance
-    nearest = int(distance.argmin())
-    near = "clear"
-    if math.isfinite(distance[nearest]):
-        near = f"{RINGS[nearest]} {distance[nearest]:.2f} m"
-    age = 1e3 * (now - report.time)
-    parts = [
-        RobotState(result.robot_state).name.lower(),
-        near,
-        f"rho {result.speed_fraction:.2f}, slider "
-        f"{report.target_speed_fraction:.2f}",
-        f"robot {age:.0f} ms, {status.missed} missed",
-        f"{result.products_placed} placed",
-    ]
-    if status.problem:
-        parts.append(f"robot: {status.problem}")
-    return " | ".join(parts)
+    version = ".".join(str(part) for part in status.controller[:3])
+    return (
+        f"robot: software {version}, {status.frequency:g} Hz; control tick "
+        f"{1e3 * control_period:g} ms"
+    )
+
+
+def _describe_slider(dry_run):
+    return "nothing was written (dry run)" if dry_run else "slider set to 0"
 
 
 def _write_report(loop, scenario, end, out, name, command, is_real):
@@ -382,6 +348,7 @@ def _write_report(loop, scenario, end, out, name, command, is_real):
     )
     if is_real:
         # Nothing that is compared with a person's truth means anything.
+        samples.metadata["human"] = "not known: real rings"
         summary |= {"person_is_known": False, "ghost_s_by_ring": {}}
     write_results(samples, summary, out)
     print(

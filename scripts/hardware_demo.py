@@ -14,8 +14,13 @@ from typing import Annotated
 import typer
 
 from tofssm_drake.errors import UserError, require
+from tofssm_drake.scripts.simulate import catch_stop
 
 _HOST = "127.0.0.1"
+# One wait for the monitor, then signals are looked at, s.
+_WAIT = 0.1
+# A process that does not end within that time is killed, s.
+_FAREWELL = 20.0
 
 
 def hardware_demo(
@@ -37,7 +42,8 @@ def hardware_demo(
 
     Three processes on this machine, which know of each other only what goes
     over sockets: the robot's controller, the rings around a person who walks,
-    and the monitor. Takes as long as the robot does.
+    and the monitor. Takes as long as the robot does. Ctrl-C stops the robot,
+    then all of them.
     """
     require(
         1 <= products <= 10,
@@ -46,6 +52,7 @@ def hardware_demo(
     scenario = f"{{program: {{products: {products}}}}}"
     robot_port, ring_port = _find_port(socket.SOCK_STREAM), _find_port()
     with (
+        catch_stop() as stopped,
         tempfile.TemporaryDirectory() as folder,
         _start(
             *("simulated-ur", "--host", _HOST, "--port", robot_port),
@@ -59,14 +66,17 @@ def hardware_demo(
             *("--scenario-text", scenario),
         ),
     ):
+        if stopped:
+            print("interrupted before the start")
+            return 130
         record = Path(folder) / "run.mcap"
-        monitor = _spawn(
+        with _spawn(
             *("hardware", "--robot-host", _HOST, "--robot-port", robot_port),
             *("--rings", f"udp://{_HOST}:{ring_port}"),
             *("--scenario-text", scenario, "--ssm", ssm),
             *("--duration", duration, "--record", record, "--out", out),
-        )
-        code = _wait(monitor)
+        ) as monitor:
+            code = _wait(monitor, stopped)
         if record.is_file() and out.is_dir():
             shutil.move(record, out / "run.mcap")
             print(f"record: {out / 'run.mcap'}")
@@ -79,35 +89,51 @@ def _find_port(kind=socket.SOCK_DGRAM) -> int:
         return probe.getsockname()[1]
 
 
-def _spawn(*arguments, **options):
-    return subprocess.Popen(
+@contextlib.contextmanager
+def _spawn(*arguments, **options) -> Iterator[subprocess.Popen]:
+    """Starts a process of ours and ends it afterwards.
+
+    In a session of its own: Ctrl-C would else end robot and rings before the
+    monitor has stopped the robot.
+    """
+    process = subprocess.Popen(
         [
             *(sys.executable, "-m", "tofssm_drake.scripts.main"),
             *map(str, arguments),
         ],
+        start_new_session=True,
         **options,
     )
+    try:
+        yield process
+    finally:
+        if process.poll() is None:
+            process.send_signal(signal.SIGTERM)
+        try:
+            process.communicate(timeout=_FAREWELL)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.communicate()
 
 
 @contextlib.contextmanager
 def _start(*arguments) -> Iterator[None]:
     """Starts a process, waits until it is ready, ends it afterwards."""
-    process = _spawn(*arguments, stdout=subprocess.PIPE, text=True)
-    try:
+    with _spawn(*arguments, stdout=subprocess.PIPE, text=True) as process:
         line = process.stdout.readline()
         if not line:
             raise UserError(f"{arguments[0]} did not start")
         print(line, end="", flush=True)
         yield
-    finally:
-        process.send_signal(signal.SIGTERM)
-        process.communicate()
 
 
-def _wait(process) -> int:
-    """Waits for the end; Ctrl-C reaches the process by itself."""
+def _wait(process, stopped) -> int:
+    """Waits for the end; hands on the first signal that comes."""
+    is_told = False
     while True:
         try:
-            return process.wait()
-        except KeyboardInterrupt:
-            continue
+            return process.wait(_WAIT)
+        except subprocess.TimeoutExpired:
+            if stopped and not is_told:
+                is_told = True
+                process.send_signal(stopped[0])

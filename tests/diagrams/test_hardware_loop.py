@@ -1,26 +1,28 @@
-"""The monitor on a robot and on rings that are handed their data by a test."""
+"""The monitor on a robot that is handed its data by a test."""
 
+import dataclasses as dc
+import types
 import unittest
 
 import numpy as np
 
-from tofssm_drake.diagrams.hardware_loop import HardwareLoop, TickInput
-from tofssm_drake.diagrams.scenario import load_scenario
-from tofssm_drake.diagrams.simulated_rings import (
-    SimulatedRings,
-    iterate_wake_times,
+from tofssm_drake.diagrams.hardware_loop import (
+    HardwareLoop,
+    TickInput,
+    describe_links,
 )
-from tofssm_drake.hardware.ring_fault_injection import parse_ring_fault
-from tofssm_drake.hardware.ring_frame import encode_frame
-from tofssm_drake.hardware.ring_link import LoopbackRingLink
-from tofssm_drake.hardware.ring_receiver import RingDecoder, RingLinkConfig
+from tofssm_drake.diagrams.scenario import load_scenario
 from tofssm_drake.hardware.rtde_fields import (
     RobotMode,
     RuntimeState,
     SafetyMode,
 )
 from tofssm_drake.hardware.slider import SliderPhase
-from tofssm_drake.messages import RobotReport, RobotState
+from tofssm_drake.messages import (
+    RingHealth,
+    RobotReport,
+    make_empty_separation,
+)
 from tofssm_drake.robot.kinematics import RingKinematics
 from tofssm_drake.robot.program import make_program_path
 
@@ -30,10 +32,9 @@ _TICK = 0.008
 
 
 class Bench:
-    """A robot that stands, follows its slider at once, and has three rings."""
+    """A robot that stands and follows its slider at once."""
 
-    def __init__(self, loop, scenario, faults=()):
-        self.sent = []
+    def __init__(self, loop, scenario):
         self.loop = loop
         loop_path = make_program_path(
             scenario.program,
@@ -42,27 +43,7 @@ class Bench:
         self.position = loop_path.calc_motion(0.0)[0]
         self.echo = 1.0
         self.changes = {}
-        self.link = LoopbackRingLink(
-            decoder=RingDecoder(
-                config=RingLinkConfig(),
-                num_sensors=scenario.sensors_per_ring,
-                timing_budget=scenario.rings.sensor.timing_budget,
-            )
-        )
-        self.rings = SimulatedRings(
-            scenario=scenario,
-            faults=[parse_ring_fault(text) for text in faults],
-            send=self.receive,
-        )
-        self.wake_times = iterate_wake_times(scenario)
-        self.wake_time = next(self.wake_times)
         self.count = 0
-
-    def receive(self, frame, is_damaged):
-        data = bytearray(encode_frame(frame))
-        data[14] ^= is_damaged
-        self.link.put_datagram(bytes(data), _HOST + self.wake_time)
-        return True
 
     def report(self):
         return RobotReport(
@@ -87,14 +68,10 @@ class Bench:
     def tick(self):
         time = self.count * _TICK
         report = self.report()
-        while self.wake_time <= time:
-            self.rings.advance(self.wake_time, report, _HOST + self.wake_time)
-            self.wake_time = next(self.wake_times)
         result = self.loop.tick(
             TickInput(
                 time=time,
                 report=report,
-                scans=self.link.get_scans(),
                 clock_offset=-_HOST,
             )
         )
@@ -106,67 +83,6 @@ class Bench:
 
     def run_until(self, end):
         return [self.tick() for _ in range(self.count, round(end / _TICK))]
-
-
-class TestRealRings(unittest.TestCase):
-    """Whatever goes wrong with a ring: the slider goes to 0, and says why."""
-
-    # kind, ring, length of the fault, longest time to 0 (s) and the reason.
-    # 0.4 s of the time is the law's ramp from full speed, 0.1 s its deadline
-    # for a sample; a frozen sensor takes 25 repetitions of 0.024 s.
-    FAULTS = (
-        ("silent", "elbow", 0.8, 0.55, "elbow sample is .* s old"),
-        ("corrupt", "base", 0.8, 0.55, "base sample is .* s old"),
-        ("late", "tool", 0.8, 0.55, "tool"),
-        ("duplicate", "elbow", 0.8, 0.55, "elbow sample is .* s old"),
-        ("frozen", "base", 1.4, 1.2, "base is faulted"),
-        ("implausible", "tool", 0.8, 0.45, "tool is faulted"),
-        ("bus", "elbow", 0.8, 0.45, "elbow is faulted"),
-        ("restart", "base", 0.8, 0.55, "base sample is .* s old"),
-    )
-    RECOVERY = 1.6
-
-    @classmethod
-    def setUpClass(cls):
-        cls.scenario = load_scenario(text="{human: !NoHuman {}}")
-        cls.loop = HardwareLoop(scenario=cls.scenario, virtual_rings=False)
-
-    def test_ring_faults(self):
-        start, faults = 1.0, []
-        for kind, ring, length, _, _ in self.FAULTS:
-            end = round(start + length, 3)
-            faults.append(f"{kind}:{ring}@{start}-{end}")
-            start = round(end + self.RECOVERY, 3)
-        bench = Bench(self.loop, self.scenario, faults)
-
-        # Without a scan of each ring it does not move.
-        for result in bench.run_until(0.3):
-            self.assertEqual(result.robot_state, RobotState.STOP)
-            self.assertEqual(result.slider.command.speed_fraction, 0.0)
-        self.assertIn("no sample yet", result.reason)
-
-        for fault, (_, _, length, limit, why) in zip(
-            faults, self.FAULTS, strict=True
-        ):
-            with self.subTest(fault=fault):
-                start = float(fault.partition("@")[2].partition("-")[0])
-                result = bench.run_until(start)[-1]
-                self.assertEqual(result.slider.command.speed_fraction, 1.0)
-                during = bench.run_until(start + length)
-                zero = [
-                    r for r in during if r.slider.command.speed_fraction == 0.0
-                ]
-                self.assertTrue(zero, "it never stops")
-                self.assertLessEqual(zero[0].time - start, limit)
-                self.assertRegex(zero[0].reason, why)
-                # Once stopped, it stays so as long as the fault lasts.
-                self.assertEqual(
-                    len(zero),
-                    during[-1] is zero[-1]
-                    and (round((during[-1].time - zero[0].time) / _TICK) + 1),
-                )
-        result = bench.run_until(start + length + self.RECOVERY)[-1]
-        self.assertEqual(result.slider.command.speed_fraction, 1.0)
 
 
 class TestRobot(unittest.TestCase):
@@ -189,7 +105,7 @@ class TestRobot(unittest.TestCase):
 
     def test_command_answers_the_report_it_was_computed_of(self):
         bench = self.make_bench()
-        results = bench.run_until(1.0)
+        results = bench.run_until(1.5)
         self.assertEqual(
             [c.sequence for c in self.sent], list(range(len(results)))
         )
@@ -202,7 +118,7 @@ class TestRobot(unittest.TestCase):
 
     def test_modes_hold_the_slider_down(self):
         bench = self.make_bench()
-        bench.run_until(1.0)
+        bench.run_until(1.5)
         for name, value in (
             ("safety_mode", SafetyMode.PROTECTIVE_STOP),
             ("robot_mode", RobotMode.IDLE),
@@ -219,11 +135,11 @@ class TestRobot(unittest.TestCase):
                 # Back, but slowly: at most 2 per second.
                 first = bench.run_until(bench.count * _TICK + 0.1)[-1]
                 self.assertLessEqual(first.slider.command.speed_fraction, 0.25)
-                bench.run_until(bench.count * _TICK + 1.0)
+                bench.run_until(bench.count * _TICK + 1.4)
 
     def test_echo_that_does_not_follow(self):
         bench = self.make_bench()
-        bench.run_until(1.0)
+        bench.run_until(1.5)
         bench.changes = {"target_speed_fraction": 0.3}
         bench.tick()
         bench.changes = {"target_speed_fraction": 0.7}
@@ -232,3 +148,45 @@ class TestRobot(unittest.TestCase):
         self.assertEqual(self.sent[-1].speed_fraction, 0.0)
         # The heartbeat stands still, so that the robot's watchdog bites.
         self.assertEqual(self.sent[-1].heartbeat, self.sent[-2].heartbeat)
+
+
+class TestLinks(unittest.TestCase):
+    def describe(self, phase=SliderPhase.FOLLOWING, now=1.05, **changes):
+        separation = dc.replace(
+            make_empty_separation(),
+            **{
+                "sequence": np.array([3, 3, 3]),
+                "time": np.array([1.0, 1.0, 1.0]),
+                "health": np.array([RingHealth.HEALTHY] * 3),
+            }
+            | changes,
+        )
+        result = types.SimpleNamespace(
+            time=now,
+            separation=separation,
+            slider=types.SimpleNamespace(phase=phase),
+        )
+        return list(describe_links(result, deadline=0.1).values())
+
+    def test_words(self):
+        self.assertEqual(self.describe(), ["OK"] * 4)
+        self.assertEqual(
+            self.describe(
+                health=np.array(
+                    [RingHealth.BLIND, RingHealth.FAULTED, RingHealth.HEALTHY]
+                )
+            ),
+            ["BLIND", "FAULT", "OK", "OK"],
+        )
+        self.assertEqual(self.describe(now=1.2), ["FAULT"] * 3 + ["OK"])
+        self.assertEqual(
+            self.describe(sequence=np.array([3, -1, 3])),
+            ["OK", "FAULT", "OK", "OK"],
+        )
+        for phase, word in (
+            (SliderPhase.RISING, "OK"),
+            (SliderPhase.HOLDING, "HELD"),
+            (SliderPhase.WAITING, "HELD"),
+            (SliderPhase.FAULT, "FAULT"),
+        ):
+            self.assertEqual(self.describe(phase)[3], word)

@@ -124,6 +124,20 @@ class TestReport(unittest.TestCase):
         self.assertNotIn("Nobody", text)
         self.assertIn("is not known", text)
 
+    def test_nobody_is_claimed_to_be_absent_from_real_sensors(self):
+        run = make_run(2.0, geometry=False)
+        run["robot_state"][50:] = 0
+        run.metadata["human"] = "not known: real rings"
+        summary = calc_summary(run, products=10) | {"person_is_known": False}
+        page = mut.make_report(run, summary)
+        for word in ("nobody<", "Nobody", "simulated world", "walking person"):
+            self.assertNotIn(word, page)
+        self.assertIn('<td class="n">not known</td>', page)
+        self.assertIn("not known: real rings", page)
+        # In a simulation it is known.
+        page = mut.make_report(run, calc_summary(run, products=10))
+        self.assertIn("nobody<", page)
+
     def test_no_rows(self):
         """Interrupted before the first tick."""
         run = make_run(0.0)

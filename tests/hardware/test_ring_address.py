@@ -1,4 +1,5 @@
 import unittest
+from unittest import mock
 
 from hypothesis import given
 from hypothesis import strategies as st
@@ -43,6 +44,40 @@ class TestParseRingAddress(unittest.TestCase):
         self.assertEqual(address.senders, ("10.0.0.2",))
         with self.assertRaisesRegex(UserError, "who sends"):
             mut.parse_ring_address("udp://0.0.0.0:5005", allow_remote=True)
+
+    def test_named_interface(self):
+        self.assertEqual(
+            mut.parse_ring_address("udp://lo:5005"),
+            mut.UdpAddress(
+                host="127.0.0.1",
+                port=5005,
+                senders=("127.0.0.1",),
+                interface="lo",
+            ),
+        )
+        # Capitals count.
+        with self.assertRaisesRegex(UserError, "'LO' is no"):
+            mut.parse_ring_address("udp://LO:5005")
+        for addresses, message in (
+            ({"lo": "127.0.0.1", "eth0": "10.0.0.1"}, "who sends"),
+            ({"lo": "127.0.0.1", "eth0": ""}, "has no IPv4 address"),
+            ({"lo": "127.0.0.1"}, r"interface of this machine \(lo\)"),
+        ):
+            with (
+                self.subTest(addresses=addresses),
+                mock.patch.object(
+                    mut, "list_interfaces", lambda a=addresses: list(a)
+                ),
+                mock.patch.object(mut, "find_interface_address", addresses.get),
+            ):
+                with self.assertRaisesRegex(UserError, message):
+                    mut.parse_ring_address("udp://eth0:5005")
+                if addresses.get("eth0"):
+                    address = mut.parse_ring_address(
+                        "udp://eth0:5005?from=10.0.0.9"
+                    )
+                    self.assertEqual(address.host, "10.0.0.1")
+                    self.assertEqual(address.senders, ("10.0.0.9",))
 
     def test_tells_what_is_wrong_in_one_line(self):
         for text, reason in (

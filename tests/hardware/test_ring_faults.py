@@ -52,7 +52,9 @@ class TestCountRepeats(unittest.TestCase):
 
 class TestFindFrozenSensors(unittest.TestCase):
     def test_a_repeated_distance_is_frozen(self):
-        self.assertEqual(find([2, 3, 4], [0, 0, 0]), [False, True, True])
+        self.assertEqual(
+            find([2, 3, 4, 0], [0, 0, 0, 0]), [False, True, True, False]
+        )
 
     def test_no_return_alone_proves_nothing(self):
         self.assertEqual(find([9, 9, 0], [2, 4, 0]), [False, False, False])
@@ -62,6 +64,17 @@ class TestFindFrozenSensors(unittest.TestCase):
         self.assertEqual(find([5, 9, 9], [0, 2, 2]), [True, True, True])
         # One sensor changes: the device lives.
         self.assertEqual(find([5, 9, 0], [0, 2, 2]), [True, False, False])
+
+    def test_a_whole_ring_that_repeats_itself_is_found_sooner(self):
+        eight = [0] * 8
+        self.assertEqual(find([3] * 8, eight, 25), [False] * 8)
+        self.assertEqual(find([4] * 8, eight, 25), [True] * 8)
+        # Three of them have a distance: 9 frames.
+        three = [0, 0, 0, 2, 2, 4, 7, 2]
+        self.assertEqual(find([8] * 8, three, 25), [False] * 8)
+        self.assertEqual(find([9] * 8, three, 25), [True] * 8)
+        # One that changes, whatever it is, and the device lives.
+        self.assertEqual(find([9] * 7 + [0], eight, 25), [False] * 8)
 
     def test_can_be_switched_off(self):
         self.assertEqual(find([9, 9], [0, 0], frozen_samples=0), [False] * 2)
@@ -78,6 +91,15 @@ class TestFindFrozenSensors(unittest.TestCase):
             row = (row + 1) * same[i]
             longest = max(longest, row.max())
         self.assertLess(longest, RingLinkConfig().frozen_samples - 5)
+        # Nor is a whole ring, of which few sensors see something.
+        for sensors in (2, 3, 8):
+            longest = row = 0
+            for i in range(len(same)):
+                row = (row + 1) * bool(same[i, :sensors].all())
+                longest = max(longest, row)
+            self.assertLess(
+                longest * sensors, RingLinkConfig().frozen_samples - 4
+            )
 
 
 if __name__ == "__main__":

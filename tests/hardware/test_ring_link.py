@@ -169,6 +169,13 @@ class TestUdp(LinkTest):
         # The port is free on another interface.
         self.open_link(other)
 
+    def test_an_interface_by_its_name(self):
+        link = self.open_link(dc.replace(self.address, interface="lo"))
+        self.open_sender().send(make_example(0, 0))
+        self.assertTrue(wait_for(lambda: link.get_scans()[0].sequence == 0))
+        with self.assertRaisesRegex(UserError, "listen there: No such device"):
+            self.open_link(dc.replace(self.address, interface="none0"))
+
     def test_damage_is_counted(self):
         link = self.open_link(self.address)
         sender = self.open_sender()

@@ -1,9 +1,13 @@
 import unittest
 
 import numpy as np
+from pydrake.common.value import Value
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
-from pydrake.systems.primitives import ConstantVectorSource
+from pydrake.systems.primitives import (
+    ConstantValueSource,
+    ConstantVectorSource,
+)
 from robot_room import make_robot, serve
 
 from tofssm_drake.errors import UserError
@@ -26,7 +30,7 @@ def make_report(sequence, **changes):
             "session": 0,
             "timestamp": 50 + 0.008 * sequence,
             "position": np.full(6, 0.1 * sequence),
-            "velocity": np.full(6, 0.5),
+            "velocity": np.zeros(6),
             "robot_mode": 7,
             "safety_mode": 1,
             "runtime_state": 2,
@@ -68,6 +72,10 @@ class Loop:
         builder.Connect(
             self.wanted.get_output_port(),
             self.control.GetInputPort("speed_fraction"),
+        )
+        self.well = builder.AddSystem(ConstantValueSource(Value("")))
+        builder.Connect(
+            self.well.get_output_port(), self.control.GetInputPort("problem")
         )
         builder.Connect(
             self.control.GetOutputPort("command"),
@@ -332,6 +340,9 @@ class TestWithRobot(unittest.TestCase):
             self.run_loop(loop, stands, seconds=0.5)
             loop.set_wanted(1.0)
             self.run_loop(loop, lambda r: r.target_speed_fraction == 1.0)
+            # So soon after a change it would pass for a late echo.
+            start = loop.context.get_time()
+            self.run_loop(loop, lambda r: r.timestamp > start + 0.3)
             server.do("simulate slider 0.4")
             self.run_loop(
                 loop, lambda _: slider().phase == SliderPhase.YIELDING

@@ -1,8 +1,12 @@
+import dataclasses as dc
 import json
 from pathlib import Path
+import resource
 import tempfile
+import time
 import unittest
 
+import jsonschema
 from mcap.reader import make_reader
 import numpy as np
 
@@ -20,7 +24,17 @@ def make_tick(k, scans):
         ),
         scans=scans,
         command=SliderCommand(sequence=k, speed_fraction=1 / 3, heartbeat=k),
-        state={"robot_state": 1, "reason": 'a "NaN" is no number'},
+        state={
+            "robot_state": 1,
+            "ring_states": [1, 2, 1],
+            "reason": 'a "NaN" is no number',
+            "speed_fraction": 1 / 3,
+            "slider_phase": 1,
+            "slider_reason": "",
+            "distance": [1 / 3, np.inf, 2.0],
+        },
+        sent=1e5 / 3 + k + 0.0005 if k else np.nan,
+        busy=1.5,
     )
 
 
@@ -68,9 +82,10 @@ class TestRunRecord(unittest.TestCase):
         self.assertEqual(len(read), len(ticks))
         for was, now in zip(ticks, read, strict=True):
             self.assertEqual(
-                (was.time, was.clock_offset, was.state),
-                (now.time, now.clock_offset, now.state),
+                (was.time, was.clock_offset, was.state, was.busy),
+                (now.time, now.clock_offset, now.state, now.busy),
             )
+            np.testing.assert_array_equal(was.sent, now.sent)
             self.assert_equal(was.report, now.report)
             self.assert_equal(was.command, now.command)
             for a, b in zip(was.scans, now.scans, strict=True):
@@ -108,6 +123,102 @@ class TestRunRecord(unittest.TestCase):
                 "/rings/received": 5,
             },
         )
+
+    def test_a_full_disk_is_told_by_the_next_tick(self):
+        with self.assertRaisesRegex(UserError, "--record: /dev/full: can not"):
+            mut.RunRecorder(Path("/dev/full"), {})
+        limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+        self.addCleanup(resource.setrlimit, resource.RLIMIT_FSIZE, limits)
+        scan = make_scan(0)
+        with mut.RunRecorder(self.path, {}) as recorder:
+            recorder.add_tick(make_tick(0, (scan,)))
+            resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, limits[1]))
+            # Whoever hands in bytes is not bothered.
+            recorder.add_robot_bytes(0.0, False, bytes(200_000))
+            with self.assertRaisesRegex(UserError, "File too large"):
+                for k in range(1, 1000):
+                    recorder.add_tick(make_tick(k, (scan,)))
+                    time.sleep(0.01)
+            with self.assertRaisesRegex(UserError, "File too large"):
+                recorder.add_tick(make_tick(k + 1, (scan,)))
+        # What was written before can be read.
+        self.assertGreater(len(list(mut.RunReader(self.path).read_ticks())), 0)
+
+    def read_messages(self, topic):
+        with self.path.open("rb") as stream:
+            return [
+                (schema, message)
+                for schema, _, message in make_reader(stream).iter_messages(
+                    topics=[topic]
+                )
+            ]
+
+    def test_messages_keep_to_their_schemas(self):
+        nothing = dc.replace(
+            make_tick(0, ()), report=RobotReport(), command=SliderCommand()
+        )
+        scan = RingScan(
+            sequence=0,
+            time=1.0,
+            sensor_time=np.array([1.0, -np.inf]),
+            distance=np.array([1.0, 2.0]),
+            status=np.array([0, 255], dtype=np.uint8),
+        )
+        run = {
+            "command": "tofssm hardware",
+            "scenario": {"random_seed": 1},
+            "virtual_rings": False,
+            "dry_run": True,
+            "minimum_fraction": 0.0,
+        }
+        with mut.RunRecorder(self.path, run) as recorder:
+            recorder.add_tick(nothing)
+            recorder.add_tick(make_tick(1, (scan, scan)))
+            recorder.add_tick(make_tick(2, (scan, scan)))
+        for topic, count in (("/run", 1), ("/tick", 3), ("/monitor", 3)):
+            messages = self.read_messages(topic)
+            self.assertEqual(len(messages), count)
+            for schema, message in messages:
+                self.assertEqual(schema.encoding, "jsonschema")
+                jsonschema.validate(
+                    json.loads(message.data), json.loads(schema.data)
+                )
+        # They do forbid something.
+        broken = json.loads(message.data) | {"q": 1}
+        with self.assertRaises(jsonschema.ValidationError):
+            jsonschema.validate(broken, json.loads(schema.data))
+
+    def test_what_monitor_tells(self):
+        self.write(2)
+        (_, first), (_, second) = self.read_messages("/monitor")
+        self.assertNotIn("answer_time", json.loads(first.data))
+        second = json.loads(second.data)
+        self.assertAlmostEqual(second["answer_time"], 0.0005, delta=1e-9)
+        self.assertEqual(second["distance"], {"base": 1 / 3, "tool": 2.0})
+        self.assertEqual(
+            second["ring_state"], {"base": 1, "elbow": 2, "tool": 1}
+        )
+        self.assertNotIn("q", second)
+
+    def test_published_is_when_it_happened(self):
+        """On the host's clock, from which `epoch` leads to Unix time."""
+        now = time.monotonic()
+        with mut.RunRecorder(self.path, {}) as recorder:
+            recorder.add_ring_bytes(now - 5.0, "udp", b"frame")
+        ((_, message),) = self.read_messages("/rings/received")
+        epoch = mut.RunReader(self.path).run["epoch"]
+        self.assertAlmostEqual(
+            message.publish_time * 1e-9 - epoch, now - 5.0, delta=1e-5
+        )
+        self.assertLess(abs(message.log_time * 1e-9 - time.time()), 60.0)
+
+    def test_what_was_added_is_in_the_file_soon(self):
+        with mut.RunRecorder(self.path, {}) as recorder:
+            recorder.add_tick(make_tick(0, ()))
+            deadline = time.monotonic() + 10.0
+            while not list(mut.RunReader(self.path).read_ticks()):
+                self.assertLess(time.monotonic(), deadline)
+                time.sleep(0.01)
 
     def test_what_is_no_record(self):
         with self.assertRaisesRegex(UserError, "can not read"):

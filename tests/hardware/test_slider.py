@@ -5,6 +5,7 @@ import unittest
 
 from hypothesis import given, settings
 from hypothesis import strategies as st
+import numpy as np
 
 from tofssm_drake.errors import UserError
 import tofssm_drake.hardware.slider as mut
@@ -23,6 +24,7 @@ class Robot:
         self.slider = slider
         self.modes = {"robot_mode": 7, "safety_mode": 1, "runtime_state": 2}
         self.obeys = True
+        self.speed = 0.0
         self.sequence = -1
         self.session = 0
         self.timestamp = 100.0
@@ -39,6 +41,7 @@ class Robot:
             sequence=self.sequence,
             session=self.session,
             timestamp=self.timestamp,
+            velocity=np.full(6, self.speed),
             target_speed_fraction=self.slider,
             **self.modes,
         )
@@ -74,11 +77,11 @@ class TestStart(unittest.TestCase):
 
     def test_first_to_the_lowest_then_slowly_up(self):
         robot = Robot()
-        states = run(robot, 1.0, cycles=100)
+        states = run(robot, 1.0, cycles=150)
         self.assertEqual(states[0].phase, SliderPhase.WAITING)
         self.assertEqual(states[0].command.mask, 1)
         self.assertEqual(states[0].command.speed_fraction, 0.0)
-        self.assertEqual(states[1].phase, SliderPhase.RISING)
+        self.assertEqual(states[1].phase, SliderPhase.RECOVERING)
         written = [state.command.speed_fraction for state in states]
         steps = [b - a for a, b in itertools.pairwise(written)]
         self.assertLessEqual(max(steps), 2.0 * _PERIOD + 1e-9)
@@ -226,11 +229,16 @@ class TestFault(unittest.TestCase):
         )
         # It ends when 0 is seen, and goes on slowly.
         robot.obeys = True
-        states = run(robot, 1.0, cycles=100, state=states[-1])
+        states = run(robot, 1.0, cycles=150, state=states[-1])
         phases = list(dict.fromkeys(s.phase for s in states))
         self.assertEqual(
             phases,
-            [SliderPhase.FAULT, SliderPhase.RISING, SliderPhase.FOLLOWING],
+            [
+                SliderPhase.FAULT,
+                SliderPhase.RECOVERING,
+                SliderPhase.RISING,
+                SliderPhase.FOLLOWING,
+            ],
         )
         written = [s.command.speed_fraction for s in states]
         self.assertLessEqual(
@@ -354,7 +362,8 @@ class TestHold(unittest.TestCase):
         )
         robot.modes["runtime_state"] = 2
         states = run(robot, 0.8, cycles=200, state=states[-1])
-        self.assertEqual(states[0].phase, SliderPhase.RISING)
+        self.assertEqual(states[0].phase, SliderPhase.RECOVERING)
+        self.assertIn("program: paused", states[0].reason)
         self.assertLess(states[10].command.speed_fraction, 0.2)
         self.assertEqual(states[-1].phase, SliderPhase.FOLLOWING)
 
@@ -384,6 +393,145 @@ class TestHold(unittest.TestCase):
         self.assertEqual(dut.reason, "safety mode: protective stop")
 
 
+class TestRest(unittest.TestCase):
+    def test_a_robot_that_moves_must_stand_still_first(self):
+        robot = Robot()
+        robot.speed = 1.5
+        states = run(robot, 1.0, cycles=50)
+        self.assertEqual({s.command.speed_fraction for s in states}, {0.0})
+        self.assertEqual(states[-1].phase, SliderPhase.WAITING)
+        self.assertIn("until the robot stands still", states[-1].reason)
+        robot.speed = math.nan
+        state = run(robot, 1.0, cycles=50, state=states[-1])[-1]
+        self.assertEqual(state.command.speed_fraction, 0.0)
+        robot.speed = 0.0
+        settle(robot, 1.0, state=state)
+
+    def test_creeping_at_the_minimum_is_rest(self):
+        config = mut.SliderConfig(minimum_fraction=0.02)
+        robot = Robot()
+        robot.speed = 0.02 * 3.14
+        settle(robot, config=config)
+
+
+class TestLateEcho(unittest.TestCase):
+    def test_is_not_taken_for_a_person(self):
+        """20 cycles late, while the law takes the robot down."""
+        robot = Robot()
+        state = settle(robot, 1.0)
+        robot.delay = 20
+        phases = set()
+        for i in range(60):
+            wanted = max(1.0 - 0.025 * i, 0.0)
+            (state,) = run(robot, wanted, cycles=1, state=state)
+            self.assertEqual(state.operator_fraction, 1.0)
+            phases.add(state.phase)
+        self.assertIn(SliderPhase.FAULT, phases)
+        robot.delay = 1
+        robot.queue.clear()
+        run(robot, 0.0, cycles=20, state=state)
+        self.assertEqual(robot.slider, 0.0)
+
+
+class TestRecovery(unittest.TestCase):
+    """From whatever was wrong, speed returns through the reduced fraction."""
+
+    def setUp(self):
+        self.robot = Robot()
+
+    def go(self, wanted, cycles, state, problem=""):
+        """Returns the states of so many reports."""
+        states = []
+        for _ in range(cycles):
+            state = mut.step_slider(
+                mut.SliderConfig(), state, self.robot.report(), wanted, problem
+            )
+            self.robot.queue.append(state.command)
+            states.append(state)
+        return states
+
+    def assert_reduced_first(self, states):
+        """0.5 s at one half with no more before, and 1 in the end."""
+        fractions = [s.command.speed_fraction for s in states]
+        above = next(i for i, f in enumerate(fractions) if f > 0.5)
+        at = [f == 0.5 for f in fractions[:above]]
+        self.assertGreaterEqual(sum(at) * _PERIOD, 0.5)
+        self.assertLessEqual(sum(at) * _PERIOD, 0.5 + 4 * _PERIOD)
+        # In one piece, right before.
+        self.assertTrue(all(at[-sum(at) :]))
+        self.assertEqual(fractions[-1], 1.0)
+        self.assertEqual(states[-1].phase, SliderPhase.FOLLOWING)
+        self.assertEqual(states[-1].reason, "")
+
+    def test_after_a_problem_that_stopped_the_robot(self):
+        state = settle(self.robot, 1.0)
+        states = self.go(0.0, 50, state, "elbow is faulted")
+        self.assertEqual(states[-1].phase, SliderPhase.RECOVERING)
+        self.assertIn("elbow is faulted", states[-1].reason)
+        self.assertEqual(self.robot.slider, 0.0)
+        states = self.go(1.0, 200, states[-1])
+        self.assertIn("elbow is faulted", states[20].reason)
+        self.assert_reduced_first(states)
+
+    def test_after_a_problem_too_short_to_stop_it(self):
+        state = settle(self.robot, 1.0)
+        states = self.go(1.0, 1, state, "tool is faulted")
+        states += self.go(1.0, 200, states[-1])
+        fractions = [s.command.speed_fraction for s in states]
+        lowest = fractions.index(0.5)
+        # Down at the law's rate.
+        steps = [b - a for a, b in itertools.pairwise([1.0, *fractions])]
+        self.assertGreaterEqual(min(steps), -10 / 3 * _PERIOD - 1e-9)
+        self.assertLessEqual(lowest * _PERIOD, 0.16)
+        self.assert_reduced_first(states[lowest:])
+
+    def test_each_problem_begins_it_anew(self):
+        state = settle(self.robot, 1.0)
+        for _ in range(5):
+            state = self.go(0.0, 1, state, "base sample is too old")[-1]
+            states = self.go(1.0, 60, state)
+            state = states[-1]
+            self.assertEqual(state.command.speed_fraction, 0.5)
+
+    def test_a_person_near_does_not_count_as_time_that_was_well(self):
+        """Only what the slider spends at the reduced fraction counts."""
+        state = settle(self.robot, 1.0)
+        state = self.go(0.0, 50, state, "elbow is faulted")[-1]
+        state = self.go(0.0, 500, state)[-1]
+        self.assert_reduced_first(self.go(1.0, 200, state))
+
+    def test_after_an_ordinary_stop_the_law_is_followed(self):
+        state = settle(self.robot, 1.0)
+        state = self.go(0.0, 50, state)[-1]
+        (state,) = self.go(1.0, 1, state)
+        self.assertEqual(state.command.speed_fraction, 1.0)
+        self.assertEqual(state.phase, SliderPhase.FOLLOWING)
+
+    @given(
+        st.lists(
+            st.tuples(
+                st.sampled_from(["", "", "", "a fault"]),
+                st.sampled_from([0.0, 0.5, 1.0]),
+                st.integers(1, 60),
+            ),
+            max_size=20,
+        )
+    )
+    @settings(max_examples=50, deadline=None)
+    def test_never_faster_without_half_a_second_of_health(self, pieces):
+        self.robot = Robot()
+        state, well = mut.SliderState(), 0
+        for problem, wanted, cycles in pieces:
+            for _ in range(cycles):
+                before = state.fraction
+                (state,) = self.go(wanted, 1, state, problem)
+                well = 0 if problem else well + 1
+                fraction = state.command.speed_fraction
+                if well * _PERIOD < 0.5 and fraction > 0.5:
+                    # It may be on its way down.
+                    self.assertLessEqual(fraction, before)
+
+
 class TestSession(unittest.TestCase):
     def test_new_connection_begins_anew(self):
         robot = Robot()
@@ -396,7 +544,8 @@ class TestSession(unittest.TestCase):
         self.assertEqual(states[0].command.mask, 1)
         self.assertEqual(states[0].command.speed_fraction, 0.0)
         self.assertEqual(states[0].command.heartbeat, beat + 1)
-        self.assertEqual(states[1].phase, SliderPhase.RISING)
+        self.assertEqual(states[1].phase, SliderPhase.RECOVERING)
+        self.assertIn("new session", states[1].reason)
         self.assertEqual(robot.slider, 0.8)
 
 
@@ -408,6 +557,10 @@ class TestConfig(unittest.TestCase):
             ({"minimum_fraction": 0.2}, "slider.minimum_fraction"),
             ({"minimum_fraction": math.nan}, "slider.minimum_fraction"),
             ({"rise_rate": 0.0}, "slider.rise_rate"),
+            ({"fall_rate": math.nan}, "slider.fall_rate"),
+            ({"reduced_fraction": 1.0}, "slider.reduced_fraction"),
+            ({"reduced_fraction": 0.0}, "slider.reduced_fraction"),
+            ({"recovery_time": -1.0}, "slider.recovery_time"),
         ):
             with (
                 self.subTest(settings=settings_),

@@ -450,13 +450,15 @@ def _make_contact(contact, samples):
     }
 
 
-def _format_true(distance):
+def _format_true(distance, is_known):
+    if not is_known:
+        return "not known"
     if math.isinf(distance):
         return "nobody"
     return format_number(max(distance, 0.0))
 
 
-def _make_event_row(event: StateEvent):
+def _make_event_row(event: StateEvent, is_known: bool):
     name = figures.STATE_NAME
     return {
         "time": event.time,
@@ -464,14 +466,14 @@ def _make_event_row(event: StateEvent):
         "change": f"{name[event.before]} → {name[event.after]}",
         "ring": event.ring or _NONE,
         "measured": format_number(event.measured_distance),
-        "true": _format_true(event.true_distance),
+        "true": _format_true(event.true_distance, is_known),
         "speed": format_number(event.tcp_speed),
         "duration": f"{event.duration:.2f}",
         "reason": event.reason,
     }
 
 
-def _make_episode_row(episode: Episode):
+def _make_episode_row(episode: Episode, is_known: bool):
     if episode.rest:
         lowest = "stopped, stood still"
     elif episode.lowest == RobotState.STOP:
@@ -486,8 +488,8 @@ def _make_episode_row(episode: Episode):
         "stopped": f"{episode.stopped:.2f}" if episode.stopped else _NONE,
         "ring": episode.first.ring or _NONE,
         "measured": format_number(episode.first.measured_distance),
-        "true": _format_true(episode.first.true_distance),
-        "least": _format_true(episode.least_true_distance),
+        "true": _format_true(episode.first.true_distance, is_known),
+        "least": _format_true(episode.least_true_distance, is_known),
         "speed": format_number(episode.first.tcp_speed),
         "changes": episode.changes,
     }
@@ -550,6 +552,7 @@ def make_report(
     episodes = find_episodes(samples, events)
     ssm = str(metadata.get("ssm", "")).lower()
     has_samples = len(samples) > 1
+    is_known = summary.get("person_is_known", True)
     return render_page(
         "report.html.jinja",
         interrupted=bool(metadata.get("interrupted")),
@@ -562,7 +565,8 @@ def make_report(
             summary, products=products, watcher=figures.get_watcher(samples)
         ),
         sensing=metadata.get("sensing", "tof"),
-        audit=make_audit_section(samples),
+        audit=make_audit_section(samples) if is_known else None,
+        person_is_known=is_known,
         headlines=_make_headlines(summary, products),
         configuration=_CONFIGURATION.get(ssm),
         shortfall=_SHORTFALL.get(ssm),
@@ -571,9 +575,9 @@ def make_report(
         ),
         has_samples=has_samples,
         recording=recording,
-        episodes=[_make_episode_row(e) for e in episodes],
+        episodes=[_make_episode_row(e, is_known) for e in episodes],
         rows_shown=_ROWS_SHOWN,
-        events=[_make_event_row(e) for e in events],
+        events=[_make_event_row(e, is_known) for e in events],
         contacts=[_make_contact(c, samples) for c in contacts],
         rings=_make_ring_rows(samples, summary),
         facts=_make_facts(samples, summary),

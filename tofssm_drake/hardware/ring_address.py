@@ -1,13 +1,18 @@
 """Where a ring's frames come from or go to, as a user writes it."""
 
 import dataclasses as dc
+import fcntl
 import ipaddress
+import socket
+import struct
 from urllib.parse import parse_qs, urlsplit
 
 from tofssm_drake.errors import UserError, require
 
 _FORMS = "udp://ADDRESS:PORT[?from=ADDRESS] or serial:///dev/NAME[?baud=RATE]"
 _DEFAULT_BAUD = 921600
+# Linux: asks for an interface's IPv4 address.
+_SIOCGIFADDR = 0x8915
 
 
 @dc.dataclass(frozen=True, kw_only=True)
@@ -19,6 +24,8 @@ class UdpAddress:
     port: int
     senders: tuple[str, ...]
     """IPv4 addresses whose datagrams count; all others are foreign."""
+    interface: str = ""
+    """Name of the only interface that counts; empty: any with that address."""
 
     def __str__(self) -> str:
         return f"udp://{self.host}:{self.port}"
@@ -45,7 +52,8 @@ def parse_ring_address(
 
     `udp://192.168.1.10:5005?from=192.168.1.20` binds one interface and takes
     datagrams from the named sender (or several, separated by commas); without
-    `from` only from the same address, which is this machine itself.
+    `from` only from the same address, which is this machine itself. The
+    interface may also be named as the system does: `udp://eth0:5005?from=...`.
     `serial:///dev/ttyACM0?baud=115200` is a serial line, by default at 921600
     baud.
 
@@ -103,7 +111,17 @@ def _parse_udp(text, where, allow_remote, parts, port, options):
         parts.username is None and parts.password is None,
         f"{where}: {text!r}: a datagram has no user; use {_FORMS}",
     )
-    host = _parse_ip(text, where, parts.hostname or "")
+    # As it was written: of an interface, capitals count.
+    name = parts.netloc.rpartition(":")[0]
+    interface = name if name in list_interfaces() else ""
+    if interface:
+        host = find_interface_address(interface)
+        require(
+            bool(host),
+            f"{where}: {text!r}: interface {interface!r} has no IPv4 address",
+        )
+    else:
+        host = _parse_ip(text, where, name, is_ours=True)
     require(
         allow_remote or host != "0.0.0.0",
         f"{where}: {text!r} would listen on every interface; name the "
@@ -119,20 +137,45 @@ def _parse_udp(text, where, allow_remote, parts, port, options):
             for sender in options["from"][0].split(",")
         )
     else:
+        # What a machine sends to itself comes through no other interface.
         require(
-            host != "0.0.0.0",
+            host != "0.0.0.0"
+            and (not interface or ipaddress.IPv4Address(host).is_loopback),
             f"{where}: {text!r} must name who sends: add ?from=ADDRESS",
         )
         senders = (host,)
-    return UdpAddress(host=host, port=port, senders=senders)
+    return UdpAddress(
+        host=host, port=port, senders=senders, interface=interface
+    )
 
 
-def _parse_ip(text, where, host):
+def list_interfaces() -> list[str]:
+    """Returns the names of this machine's network interfaces."""
+    return [name for _, name in socket.if_nameindex()]
+
+
+def find_interface_address(name: str) -> str:
+    """Returns the IPv4 address of an interface; "" if it has none."""
+    request = struct.pack("256s", name.encode())
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        try:
+            answer = fcntl.ioctl(probe.fileno(), _SIOCGIFADDR, request)
+        except OSError:
+            return ""
+    return socket.inet_ntoa(answer[20:24])
+
+
+def _parse_ip(text, where, host, *, is_ours=False):
     if host == "localhost":
         return "127.0.0.1"
     try:
         return str(ipaddress.IPv4Address(host))
     except ValueError:
+        ours = ""
+        if is_ours:
+            names = ", ".join(list_interfaces())
+            ours = f", nor an interface of this machine ({names})"
         raise UserError(
-            f"{where}: {text!r}: {host!r} is no IPv4 address such as 127.0.0.1"
+            f"{where}: {text!r}: {host!r} is no IPv4 address such as "
+            f"127.0.0.1{ours}"
         ) from None

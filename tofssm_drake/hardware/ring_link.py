@@ -149,6 +149,13 @@ class UdpTransport:
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         try:
             self._socket.setblocking(False)
+            if address.interface:
+                # By itself an address takes what comes in anywhere.
+                self._socket.setsockopt(
+                    socket.SOL_SOCKET,
+                    socket.SO_BINDTODEVICE,
+                    address.interface.encode() + b"\0",
+                )
             self._socket.bind((address.host, address.port))
         except OSError as error:
             self._socket.close()

@@ -78,11 +78,13 @@ class RingLinkConfig:
     # s. Only counted: its samples carry their true age.
     late: float = 0.02
 
-    # A distance that is repeated so often to the last bit is a frozen sensor
-    # (*assumed*). Even with 0.75 mm of noise, 0.15 % of half a metre, two
-    # samples are equal with a probability of 0.35, and 25 in a row come once
-    # in some years with 24 sensors at 42 Hz. 0: noise is not expected, as of
-    # ideal sensors, and repetitions are fine.
+    # A distance that is repeated so often to the last bit is a frozen sensor,
+    # and so many repetitions of all sensors of a ring, none of which changes,
+    # are a frozen device (*assumed*). Even with 0.75 mm of noise, 0.15 % of
+    # half a metre, two samples are equal with a probability of 0.35, and 25
+    # in a row come once in some years with 24 sensors at 42 Hz. (With 20 ms
+    # of integration the datasheet's noise is 2.3 mm or more, 0.13.) 0: noise
+    # is not expected, as of ideal sensors, and repetitions are fine.
     frozen_samples: int = 25
 
     def check(self, where: str) -> None:

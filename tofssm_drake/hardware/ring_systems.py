@@ -4,15 +4,11 @@ from collections.abc import Sequence
 
 import numpy as np
 from pydrake.common.value import Value
-from pydrake.systems.framework import (
-    Context,
-    EventStatus,
-    State,
-)
+from pydrake.systems.framework import Context, State
 
 from tofssm_drake.errors import UserError, require
 from tofssm_drake.hardware.ring_link import RingConnection, explain_silence
-from tofssm_drake.leaf_system import LeafSystem
+from tofssm_drake.leaf_system import DID_NOTHING, SUCCEEDED, LeafSystem
 from tofssm_drake.messages import RINGS, RingScan
 
 
@@ -83,13 +79,14 @@ class RingSubscriberSystem(LeafSystem):
         - scan_elbow
         - scan_tool
 
-    At each step the newest scan of each ring moves from the link into the
-    state, and nothing else ever reads the link: what the ports show follows
-    from the Context. Initialization waits until every ring has delivered.
+    At each step, or when it is told to (forced update), the newest scan of
+    each ring moves from the link into the state, and nothing else ever reads
+    the link: what the ports show follows from the Context. Initialization
+    waits until every ring has delivered.
 
     `clock_offset` (vector, 1) is what the Diagram's clock shows more than the
     host's monotonic one, s; unconnected it is 0. The scans' times are on the
-    Diagram's clock.
+    Diagram's clock as it was known when they were taken.
 
     Where it is connected, a scan waits in the link while the Diagram's time,
     which is that of the robot's newest report, is before its samples: the
@@ -105,6 +102,7 @@ class RingSubscriberSystem(LeafSystem):
         connection: RingConnection,
         wait_timeout: float = 10.0,
         max_ahead: float = 0.004,
+        per_step: bool = True,
         name: Sequence[str] = RINGS,
     ):
         """Constructs the system.
@@ -115,6 +113,7 @@ class RingSubscriberSystem(LeafSystem):
                 s; 0 does not wait.
             max_ahead: A sample may be so much ahead of the Diagram's time, s;
                 by so much the occlusion mask looks to both sides.
+            per_step: Update at each step; else only in forced updates.
             name: The rings, in the order of the link's scans.
 
         Raises:
@@ -141,26 +140,11 @@ class RingSubscriberSystem(LeafSystem):
             self.DeclareAbstractState(Value(RingScan())) for _ in name
         ]
         for ring, index in zip(name, self._scans, strict=True):
-            self.DeclareAbstractOutputPort(
-                f"scan_{ring}",
-                Value(RingScan()).Clone,
-                lambda context, output, index=index: output.set_value(
-                    self._calc_scan(context, index)
-                ),
-                prerequisites_of_calc={
-                    self.abstract_state_ticket(index),
-                    self._clock_offset.ticket(),
-                },
-            )
+            self.DeclareStateOutputPort(f"scan_{ring}", index)
         self.DeclareInitializationUnrestrictedUpdateEvent(self._initialize)
-        self.DeclarePerStepUnrestrictedUpdateEvent(self._take_scans)
+        if per_step:
+            self.DeclarePerStepUnrestrictedUpdateEvent(self._take_scans)
         self.DeclareForcedUnrestrictedUpdateEvent(self._take_scans)
-
-    def _calc_scan(self, context: Context, index) -> RingScan:
-        scan = context.get_abstract_state(index).get_value()
-        if not self._clock_offset.HasValue(context):
-            return scan
-        return shift_scan(scan, self._clock_offset.Eval(context)[0])
 
     def _initialize(self, context: Context, state: State):
         """Waits for the rings.
@@ -174,16 +158,18 @@ class RingSubscriberSystem(LeafSystem):
         return self._take_scans(context, state)
 
     def _take_scans(self, context: Context, state: State):
-        now = np.inf
+        offset, now = 0.0, np.inf
         if self._clock_offset.HasValue(context):
             offset = self._clock_offset.Eval(context)[0]
             now = context.get_time() - offset + self._max_ahead
-        status = EventStatus.DidNothing()
+        status = DID_NOTHING
         for index, scan in zip(
             self._scans, self._connection.get_scans(), strict=True
         ):
-            value = state.get_mutable_abstract_state(index)
-            if scan is not value.get_value() and not is_ahead(scan, now):
-                value.set_value(scan)
-                status = EventStatus.Succeeded()
+            held = context.get_abstract_state(index).get_value()
+            if scan.sequence != held.sequence and not is_ahead(scan, now):
+                state.get_mutable_abstract_state(index).set_value(
+                    shift_scan(scan, offset)
+                )
+                status = SUCCEEDED
         return status

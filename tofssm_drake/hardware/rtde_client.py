@@ -218,7 +218,7 @@ class RtdeClient:
                     connection.shutdown(socket.SHUT_RDWR)
                 return False
             self._heartbeat = command.heartbeat
-        self._record(True, package)
+        self._record_sent(package)
         return True
 
     def get_status(self) -> RtdeStatus:
@@ -282,9 +282,9 @@ class RtdeClient:
     def _update(self, **changes):
         self._status = dc.replace(self._status, **changes)
 
-    def _record(self, sent, package):
+    def _record_sent(self, package):
         if self._tap is not None:
-            self._tap(time.monotonic(), sent, package)
+            self._tap(time.monotonic(), True, package)
 
     def _serve_connection(self):
         """Connects, shakes hands and reads until something is wrong."""
@@ -321,6 +321,8 @@ class _Link:
         self._writer.setblocking(False)
         self._reader = rtde.PackageReader()
         self._waiting: list[tuple[int, bytes]] = []
+        # When the last bytes came, s.
+        self._arrival = -math.inf
         self._version = 1
         self._outputs: rtde.Recipe | None = None
         self._inputs: rtde.Recipe | None = None
@@ -476,7 +478,7 @@ class _Link:
     def _send(self, package):
         self._connection.settimeout(self._config.reply_timeout)
         self._connection.sendall(package)
-        self._client._record(True, package)
+        self._client._record_sent(package)
 
     def _receive(self, deadline, otherwise):
         """Adds the next packages to those that wait."""
@@ -495,12 +497,15 @@ class _Link:
             data = self._connection.recv(1 << 16)
         except TimeoutError:
             return
+        self._arrival = time.monotonic()
         if not data:
             raise _LostError(f"{self._client._where}: the controller hung up")
         packages = self._reader.feed(data)
-        if self._client._tap is not None:
+        tap = self._client._tap
+        if tap is not None:
             for kind, payload in packages:
-                self._client._record(False, rtde.encode_package(kind, payload))
+                package = rtde.encode_package(kind, payload)
+                tap(self._arrival, False, package)
         self._waiting.extend(packages)
 
     def _take_note(self, kind, payload):
@@ -528,7 +533,7 @@ class _Link:
                 if kind != PackageType.DATA_PACKAGE:
                     self._take_note(kind, payload)
                     continue
-                arrived = time.monotonic()
+                arrived = self._arrival
                 report = self._decode(payload, arrived, last, session)
                 if report is None:
                     continue

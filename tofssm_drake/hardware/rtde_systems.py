@@ -6,7 +6,7 @@ others are given it:
     RtdeInterfaceSystem    owns the connection; no ports, no state
     RtdeSubscriberSystem   the newest report, as State
     RobotReportReceiver    report -> joints, gripper, products; pure
-    SliderControl          report and speed fraction -> command
+    SliderControl          report, speed fraction, problem -> command
     RtdePublisherSystem    sends the command when it is told to publish
 """
 
@@ -26,7 +26,7 @@ from tofssm_drake.hardware.slider import (
     SliderState,
     step_slider,
 )
-from tofssm_drake.leaf_system import LeafSystem
+from tofssm_drake.leaf_system import DID_NOTHING, SUCCEEDED, LeafSystem
 from tofssm_drake.messages import RobotReport, SliderCommand
 
 
@@ -73,8 +73,9 @@ class RtdeSubscriberSystem(LeafSystem):
         - report
 
     `report` is a `RobotReport`. It is State: it changes in an update at the
-    begin of each of the Simulator's steps and never in between. So all that
-    is computed in a step is of one package.
+    begin of each of the Simulator's steps, or when it is told to (forced
+    update), and never in between. So all that is computed in a step is of one
+    package.
 
     Initialization waits for a report that is newer than those that the
     connection had before.
@@ -82,10 +83,16 @@ class RtdeSubscriberSystem(LeafSystem):
     Args:
         connection: Where reports come from.
         wait_timeout: Longest wait at initialization, s; 0 does not wait.
+        per_step: Update at each step; else only in forced updates, which
+            spare a loop the copy of the Diagram's whole State.
     """
 
     def __init__(
-        self, *, connection: RobotConnection, wait_timeout: float = 10.0
+        self,
+        *,
+        connection: RobotConnection,
+        wait_timeout: float = 10.0,
+        per_step: bool = True,
     ):
         super().__init__()
         require(
@@ -97,7 +104,8 @@ class RtdeSubscriberSystem(LeafSystem):
         self._report = self.DeclareAbstractState(Value(RobotReport()))
         self.DeclareStateOutputPort("report", self._report)
         self.DeclareInitializationUnrestrictedUpdateEvent(self._initialize)
-        self.DeclarePerStepUnrestrictedUpdateEvent(self._update)
+        if per_step:
+            self.DeclarePerStepUnrestrictedUpdateEvent(self._update)
         self.DeclareForcedUnrestrictedUpdateEvent(self._update)
 
     def _initialize(self, context: Context, state: State) -> EventStatus:
@@ -117,9 +125,9 @@ class RtdeSubscriberSystem(LeafSystem):
     def _update(self, context: Context, state: State) -> EventStatus:
         report = self._connection.get_report()
         if report is context.get_abstract_state(self._report).get_value():
-            return EventStatus.DidNothing()
+            return DID_NOTHING
         state.get_mutable_abstract_state(int(self._report)).set_value(report)
-        return EventStatus.Succeeded()
+        return SUCCEEDED
 
 
 class RtdePublisherSystem(LeafSystem):
@@ -149,7 +157,7 @@ class RtdePublisherSystem(LeafSystem):
     def _publish(self, context: Context) -> EventStatus:
         # Nothing follows from what send returns: the slider's echo tells.
         self._connection.send(self._command.Eval(context))
-        return EventStatus.Succeeded()
+        return SUCCEEDED
 
 
 class RobotReportReceiver(LeafSystem):
@@ -235,6 +243,7 @@ class SliderControl(LeafSystem):
         input_ports:
         - report
         - speed_fraction
+        - problem
         output_ports:
         - slider
         - command
@@ -244,15 +253,23 @@ class SliderControl(LeafSystem):
     report; `command` is the `SliderCommand` in it, for the publisher;
     `slider_obeys` (vector, 1) is 0 in a fault and else 1.
 
-    The outputs are of the report and the speed fraction as they are now. The
-    update at the begin of the Simulator's next step makes them the State, so
-    what was published is what is remembered.
+    `problem` (str) says why the monitor's data are not fresh and healthy, and
+    is empty if they are: from a fault the way back to speed leads through the
+    reduced fraction.
+
+    The outputs are of the inputs as they are now. The update at the begin of
+    the Simulator's next step, or who runs the loop, makes `slider` the State,
+    so what was published is what is remembered.
 
     Args:
         config: Settings; checked.
+        per_step: Update at each step; else who runs the loop does, or tells
+            it to (forced update).
     """
 
-    def __init__(self, *, config: SliderConfig | None = None):
+    def __init__(
+        self, *, config: SliderConfig | None = None, per_step: bool = True
+    ):
         super().__init__()
         self._config = SliderConfig() if config is None else config
         self._config.check("slider")
@@ -260,10 +277,12 @@ class SliderControl(LeafSystem):
             "report", Value(RobotReport())
         )
         self._speed_fraction = self.DeclareVectorInputPort("speed_fraction", 1)
+        self._problem = self.DeclareAbstractInputPort("problem", Value(""))
         self._state = self.DeclareAbstractState(Value(SliderState()))
         sources = {
             self._report.ticket(),
             self._speed_fraction.ticket(),
+            self._problem.ticket(),
             self.abstract_state_ticket(self._state),
         }
         self._slider = self.DeclareAbstractOutputPort(
@@ -283,7 +302,8 @@ class SliderControl(LeafSystem):
         self.DeclareVectorOutputPort(
             "slider_obeys", 1, self._calc_obeys, sources
         )
-        self.DeclarePerStepUnrestrictedUpdateEvent(self._update)
+        if per_step:
+            self.DeclarePerStepUnrestrictedUpdateEvent(self._update)
         self.DeclareForcedUnrestrictedUpdateEvent(self._update)
 
     def _calc_slider(self, context, output):
@@ -293,6 +313,7 @@ class SliderControl(LeafSystem):
                 context.get_abstract_state(self._state).get_value(),
                 self._report.Eval(context),
                 self._speed_fraction.Eval(context)[0],
+                self._problem.Eval(context),
             )
         )
 
@@ -303,6 +324,6 @@ class SliderControl(LeafSystem):
     def _update(self, context: Context, state: State) -> EventStatus:
         slider = self._slider.Eval(context)
         if slider is context.get_abstract_state(self._state).get_value():
-            return EventStatus.DidNothing()
+            return DID_NOTHING
         state.get_mutable_abstract_state(int(self._state)).set_value(slider)
-        return EventStatus.Succeeded()
+        return SUCCEEDED

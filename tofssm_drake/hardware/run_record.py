@@ -1,16 +1,24 @@
 """The record of a run on hardware: an MCAP file, written as things happen.
 
-Nothing is held back in chunks: what was written is in the file after the next
-flush, at most half a second later, and whoever reads it comes as far as it
-goes. So a process that is killed loses no more than that.
+Nothing is held back in chunks: what was added is in the file a quarter of a
+second later, and whoever reads it comes as far as it goes. So a process that
+is killed loses no more than that. A thread writes it, so that a slow disk
+does not hold up the robot.
 
 Each tick is one message on `/tick`: all that the monitor was handed, and what
-it made of it. A number that is none is null there, and infinity is 1e999.
+it made of it. What is not a number is left out there, or null within an
+array, and infinity is 1e999. `/monitor` is what one wants to see in a plot.
+The schemas keep to what Foxglove understands (see run_schema.py).
+
+Messages are logged with the time at which they were added; published they
+were when the bytes arrived or were sent, and a tick when its report arrived.
 """
 
+import collections
 from collections.abc import Iterator
 import dataclasses as dc
 import json
+import math
 import pathlib
 import re
 import struct
@@ -24,14 +32,20 @@ from mcap.writer import CompressionType, Writer
 import numpy as np
 
 from tofssm_drake.errors import UserError
-from tofssm_drake.messages import RingScan, RobotReport, SliderCommand
+from tofssm_drake.hardware.run_schema import SCHEMAS
+from tofssm_drake.messages import (
+    RINGS,
+    RingScan,
+    RobotReport,
+    SliderCommand,
+)
 
-_FLUSH_PERIOD = 0.5
-_VERSION = 1
+_FLUSH_PERIOD = 0.25
+_VERSION = 2
 _TOKENS = re.compile(r'"(?:[^"\\]|\\.)*"|NaN|Infinity')
 _REPLACED = {"NaN": "null", "Infinity": "1e999"}
 
-_RUN, _TICK = "/run", "/tick"
+_RUN, _TICK, _MONITOR = "/run", "/tick", "/monitor"
 _BYTES = {
     "/robot/received": "RTDE packages, each whole",
     "/robot/sent": "RTDE packages, each whole",
@@ -42,23 +56,41 @@ _BYTES = {
 def encode_json(values: dict) -> bytes:
     """Returns plain values, arrays and NumPy's numbers as JSON."""
     text = json.dumps(values, default=_make_plain, separators=(",", ":"))
-    return _TOKENS.sub(
-        lambda match: _REPLACED.get(match[0], match[0]), text
-    ).encode()
+    # Looking for them costs as much as all the rest.
+    if "NaN" in text or "Infinity" in text:
+        text = _TOKENS.sub(lambda m: _REPLACED.get(m[0], m[0]), text)
+    return text.encode()
 
 
 def _make_plain(value):
     if isinstance(value, np.ndarray | np.generic):
         return value.tolist()
     if dc.is_dataclass(value):
-        return vars(value)
+        return {n: v for n, v in vars(value).items() if not _is_none(v)}
     raise TypeError(f"{type(value).__name__} is no plain value")
+
+
+def _is_none(value):
+    """Whether it is no number at all, and may be left out."""
+    if isinstance(value, float):
+        return math.isnan(value)
+    return (
+        isinstance(value, np.ndarray)
+        and value.size > 0
+        # Arrays of which the first is a number are written anyway.
+        and math.isnan(value.flat[0])
+        and bool(np.isnan(value).all())
+    )
 
 
 def _fill(cls, values):
     """Returns a message of a class from what JSON made of it."""
     fields = {}
     for name, default in vars(cls()).items():
+        if name not in values:
+            # Only what is not a number was left out.
+            fields[name] = np.nan if isinstance(default, float) else default
+            continue
         value = values[name]
         if isinstance(default, np.ndarray):
             value = np.array(
@@ -87,29 +119,77 @@ class RecordedTick:
     """What was sent, or would have been in a dry run."""
     state: dict
     """What the monitor said: robot_state, ring_states, reason, ..."""
+    sent: float = math.nan
+    """Host's time when the command was handed over, s; NaN: it was not."""
+    busy: float = 0.0
+    """Processor time of the program so far, s."""
+
+
+def make_monitor_message(tick: RecordedTick) -> dict:
+    """Returns what `/monitor` tells of a tick: plain values, by name."""
+    report, state = tick.report, tick.state
+    message = {
+        "time": tick.time,
+        "robot_state": state["robot_state"],
+        "ring_state": dict(zip(RINGS, state["ring_states"], strict=True)),
+        "reason": state["reason"],
+        "distance": {
+            ring: d
+            for ring, d in zip(RINGS, state["distance"], strict=True)
+            if math.isfinite(d)
+        },
+        "speed_fraction": state["speed_fraction"],
+        "slider_commanded": tick.command.speed_fraction,
+        "slider_phase": state["slider_phase"],
+        "slider_reason": state["slider_reason"],
+        "runtime_state": report.runtime_state,
+        "safety_mode": report.safety_mode,
+        "products_placed": report.products_placed,
+        "missed": report.missed,
+        "busy": tick.busy,
+    }
+    for name, value in (
+        ("q", report.position),
+        ("qd", report.velocity),
+        ("slider_echoed", report.target_speed_fraction),
+        ("speed_scaling", report.speed_scaling),
+        ("tcp_speed", math.hypot(*report.tcp_velocity[:3])),
+        ("answer_time", tick.sent - report.time),
+    ):
+        if not _is_none(value):
+            message[name] = value
+    return message
 
 
 class RunRecorder:
     """Writes a record; a context manager, and safe to use from threads.
 
+    A disk that is full or gone is told by the next `add_tick`: whoever hands
+    in bytes has other things to do.
+
     Args:
         path: The file; what is there is replaced.
-        run: Plain values to make the same monitor of again.
+        run: Plain values to make the same monitor of again; None: they are
+            not known yet, and `add_run` follows.
 
     Raises:
         UserError: The file can not be written.
     """
 
-    def __init__(self, path: pathlib.Path, run: dict):
+    def __init__(self, path: pathlib.Path, run: dict | None = None):
         self._path = path
+        self._error: OSError | None = None
         try:
-            self._stream = path.open("wb")
+            # Unbuffered: the buffer is here.
+            self._file = path.open("wb", buffering=0)
         except OSError as error:
-            raise UserError(
-                f"--record: {path}: can not write it: {error.strerror}"
-            ) from None
+            self._error = error
+            self._raise_error()
+        # What was added is put into the format when there is time for it.
+        self._added = collections.deque()
         self._lock = threading.Lock()
-        self._closed = False
+        self._closed = threading.Event()
+        self._stream = _Buffer()
         self._writer = Writer(
             self._stream,
             compression=CompressionType.NONE,
@@ -118,7 +198,7 @@ class RunRecorder:
         self._writer.start(profile="", library="tofssm_drake")
         self._channels = {
             topic: self._add_json_channel(topic)
-            for topic in (_RUN, _TICK, "/monitor")
+            for topic in (_RUN, _TICK, _MONITOR)
         }
         for topic, description in _BYTES.items():
             self._channels[topic] = self._writer.register_channel(
@@ -128,9 +208,17 @@ class RunRecorder:
                 metadata={"content": description},
             )
         self._scans: tuple[RingScan, ...] = ()
-        self._flushed = time.monotonic()
-        self._add(_RUN, encode_json({"version": _VERSION, **run}))
-        self._stream.flush()
+        self._epoch = time.time() - time.monotonic()
+        if run is not None:
+            self.add_run(run)
+        self._flush()
+        if self._error is not None:
+            self._file.close()
+            self._raise_error()
+        self._thread = threading.Thread(
+            target=self._keep_flushing, name="run record", daemon=True
+        )
+        self._thread.start()
 
     def __enter__(self) -> "RunRecorder":
         return self
@@ -138,61 +226,126 @@ class RunRecorder:
     def __exit__(self, *_) -> None:
         self.close()
 
+    def add_run(self, run: dict) -> None:
+        """Writes what the monitor is made of; once, before the first tick."""
+        message = {"version": _VERSION, "epoch": self._epoch, **run}
+        self._add(_RUN, encode_json(message), time.monotonic())
+
     def add_tick(self, tick: RecordedTick) -> None:
-        """Writes a tick; of the scans only those that are new."""
+        """Writes a tick; of the scans only those that are new.
+
+        Raises:
+            UserError: Something before could not be written.
+        """
+        self._raise_error()
         scans = [
-            scan
-            if i >= len(self._scans) or scan is not self._scans[i]
-            else None
+            {"ring": i, **_make_plain(scan)}
             for i, scan in enumerate(tick.scans)
+            if i >= len(self._scans) or scan is not self._scans[i]
         ]
         self._scans = tick.scans
-        values = vars(tick) | {"scans": scans}
-        self._add(_TICK, encode_json(values))
-        self._add("/monitor", encode_json({"time": tick.time, **tick.state}))
+        values = _make_plain(tick) | {"scans": scans}
+        time = tick.report.time
+        self._add(_TICK, encode_json(values), time)
+        self._add(_MONITOR, encode_json(make_monitor_message(tick)), time)
+        with self._lock:
+            self._format()
 
     def add_robot_bytes(
         self, arrival: float, was_sent: bool, data: bytes
     ) -> None:
-        """Writes what went to or came from the robot."""
-        self._add("/robot/sent" if was_sent else "/robot/received", data)
+        """Writes what went to or came from the robot, and when, s."""
+        topic = "/robot/sent" if was_sent else "/robot/received"
+        self._add(topic, data, arrival)
 
     def add_ring_bytes(self, arrival: float, source: str, data: bytes) -> None:
-        """Writes what came from the rings."""
-        self._add("/rings/received", data)
+        """Writes what came from the rings, and when, s."""
+        self._add("/rings/received", data, arrival)
 
     def close(self) -> None:
         """Ends the file; may be called again."""
+        if self._closed.is_set():
+            return
+        self._closed.set()
+        self._thread.join()
         with self._lock:
-            if not self._closed:
-                self._closed = True
-                self._writer.finish()
-                self._stream.close()
+            self._format()
+            self._writer.finish()
+        self._flush()
+        self._file.close()
 
     def _add_json_channel(self, topic):
         schema = self._writer.register_schema(
             name=f"tofssm{topic.replace('/', '.')}",
             encoding="jsonschema",
-            data=b'{"type":"object"}',
+            data=json.dumps(SCHEMAS[topic]).encode(),
         )
         return self._writer.register_channel(
             topic=topic, message_encoding="json", schema_id=schema
         )
 
-    def _add(self, topic, data):
-        now = time.time_ns()
-        with self._lock:
-            if self._closed:
-                return
+    def _add(self, topic, data, when):
+        # Links add what they receive and send before it is dealt with.
+        if not self._closed.is_set() and self._error is None:
+            self._added.append((topic, data, time.time_ns(), when))
+
+    def _format(self):
+        """Puts what was added into the format; the lock is held."""
+        while self._added:
+            topic, data, now, when = self._added.popleft()
             self._writer.add_message(
                 channel_id=self._channels[topic],
                 log_time=now,
-                publish_time=now,
+                # A tick without a report has no time.
+                publish_time=int(1e9 * max(self._epoch + when, 0.0)),
                 data=data,
             )
-            if time.monotonic() - self._flushed >= _FLUSH_PERIOD:
-                self._stream.flush()
-                self._flushed = time.monotonic()
+
+    def _keep_flushing(self):
+        while not self._closed.wait(_FLUSH_PERIOD):
+            self._flush()
+
+    def _flush(self):
+        """Writes what has been added to the file."""
+        with self._lock:
+            self._format()
+            data = memoryview(self._stream.take())
+        try:
+            while data and self._error is None:
+                data = data[self._file.write(data) :]
+        except OSError as error:
+            self._error = error
+
+    def _raise_error(self):
+        if self._error is not None:
+            raise UserError(
+                f"--record: {self._path}: can not write it: "
+                f"{self._error.strerror}"
+            )
+
+
+class _Buffer:
+    """Takes what a Writer writes until it is taken to the file."""
+
+    def __init__(self):
+        self._pieces = []
+        self._size = 0
+
+    def write(self, data) -> int:
+        self._pieces.append(bytes(data))
+        self._size += len(data)
+        return len(data)
+
+    def tell(self) -> int:
+        return self._size
+
+    def flush(self) -> None:
+        pass
+
+    def take(self) -> bytes:
+        data = b"".join(self._pieces)
+        self._pieces.clear()
+        return data
 
 
 class RunReader:
@@ -228,19 +381,19 @@ class RunReader:
 
     def read_ticks(self) -> Iterator[RecordedTick]:
         """Yields the ticks in their order."""
-        scans: tuple[RingScan, ...] = ()
+        scans: dict[int, RingScan] = {}
         for values in self._read(_TICK):
-            scans = tuple(
-                scans[i] if scan is None else _fill(RingScan, scan)
-                for i, scan in enumerate(values["scans"])
-            )
+            for scan in values["scans"]:
+                scans[scan["ring"]] = _fill(RingScan, scan)
             yield RecordedTick(
                 time=values["time"],
                 clock_offset=values["clock_offset"],
                 report=_fill(RobotReport, values["report"]),
-                scans=scans,
+                scans=tuple(scans[i] for i in range(len(scans))),
                 command=_fill(SliderCommand, values["command"]),
                 state=values["state"],
+                sent=values.get("sent", math.nan),
+                busy=values["busy"],
             )
 
     def _read(self, wanted):

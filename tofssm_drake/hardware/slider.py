@@ -21,6 +21,12 @@ from tofssm_drake.messages import RobotReport, SliderCommand
 
 # After a gap between reports the fraction rises as if it was only that, s.
 _LONGEST_STEP = 0.05
+# An echo of what was written that long ago is a late one, and nobody's hand, s.
+_LATE = 0.25
+# A robot whose joints are not faster stands still, rad/s; and the fastest
+# joint of all, which at the lowest fraction may creep on.
+_STANDING = 0.01
+_FASTEST = 3.2
 # A protective stop that soon after the slider left 0 came of that, s.
 _OFFENCE = 1.0
 
@@ -48,6 +54,17 @@ class SliderConfig:
     # no faster than that, 1/s.
     rise_rate: float = 2.0
 
+    # The way back to speed leads through that fraction, the safety law's of
+    # the reduced state: the slider must have stood there for that long, s,
+    # with all being well (assumed: five times as long as a sample of a ring
+    # may be old).
+    reduced_fraction: float = 0.5
+    recovery_time: float = 0.5
+
+    # If a fault ends before the law has slowed the robot down that far, the
+    # slider does so at that rate, 1/s (the law's own).
+    fall_rate: float = 10.0 / 3.0
+
     # What happens if someone sets the slider lower than wanted: True leaves
     # it there until someone raises it, False sets it back.
     yield_to_operator: bool = True
@@ -69,10 +86,22 @@ class SliderConfig:
             f"{where}.minimum_fraction: must be from 0 to 0.1, "
             f"got {self.minimum_fraction:g}",
         )
+        for name in ("rise_rate", "fall_rate"):
+            require(
+                0 < getattr(self, name) <= 100,
+                f"{where}.{name}: must be more than 0 and at most 100 1/s, "
+                f"got {getattr(self, name):g}",
+            )
         require(
-            0 < self.rise_rate <= 100,
-            f"{where}.rise_rate: must be more than 0 and at most 100 1/s, "
-            f"got {self.rise_rate:g}",
+            self.minimum_fraction < self.reduced_fraction < 1,
+            f"{where}.reduced_fraction: must be above minimum_fraction, "
+            f"{self.minimum_fraction:g}, and below 1, "
+            f"got {self.reduced_fraction:g}",
+        )
+        require(
+            0 <= self.recovery_time <= 60,
+            f"{where}.recovery_time: must be from 0 to 60 s, "
+            f"got {self.recovery_time:g}",
         )
 
 
@@ -80,7 +109,7 @@ class SliderPhase(enum.IntEnum):
     """What the slider is up to."""
 
     WAITING = 0
-    """No report yet, or the slider was not yet seen at its lowest."""
+    """No report yet, or robot and slider were not yet seen at rest."""
     FOLLOWING = 1
     """The echo is what was written."""
     RISING = 2
@@ -91,6 +120,8 @@ class SliderPhase(enum.IntEnum):
     """The robot does not run its program: the slider stays lowest."""
     FAULT = 5
     """The echo does not follow: 0 is written and the heartbeat stops."""
+    RECOVERING = 6
+    """Something was wrong, or is: no more than the reduced fraction."""
 
 
 @dc.dataclass(frozen=True, eq=False, kw_only=True)
@@ -112,10 +143,12 @@ class SliderState:
     """Of that report: where the slider was."""
     fraction: float = math.nan
     """Where it was last set or left; NaN: not yet in this session."""
-    replaced: tuple[tuple[float, int], ...] = ()
-    """(fraction, `count` when another took its place) of late."""
+    replaced: tuple[tuple[float, int, float], ...] = ()
+    """(fraction, `count` and `timestamp` when another took its place) of
+    late."""
     confirmed: bool = False
-    """The echo was `fraction` at least once since a start or a fault."""
+    """The echo was `fraction` at least once since a start or a fault, while
+    the robot stood still."""
     obeyed: int = 0
     """For how many reports in a row it is so by now."""
     deadline: float = math.inf
@@ -123,7 +156,11 @@ class SliderState:
     operator_fraction: float = 1.0
     """What a person at the slider allows."""
     ceiling: float = 0.0
-    """What is allowed after a hold, growing; inf: no limit."""
+    """What is allowed after a hold or a fault, growing; inf: no limit."""
+    healthy: float = 0.0
+    """For how long all was well at the reduced fraction, since `cause`, s."""
+    cause: str = ""
+    """What was wrong last."""
     left_zero: float = -math.inf
     """When the slider was last set from 0 to more, s."""
 
@@ -151,6 +188,7 @@ def step_slider(
     state: SliderState,
     report: RobotReport,
     wanted: float,
+    problem: str = "",
 ) -> SliderState:
     """Takes one report and says what to send in answer.
 
@@ -158,11 +196,17 @@ def step_slider(
     wanted fraction changed or the echo is astray. Otherwise a person could
     not move it.
 
+    Whatever was wrong, with the robot or with what the monitor knows, the
+    fraction grows again only through `reduced_fraction`. A problem of the
+    monitor's does not stop the robot here: the safety law does.
+
     Args:
         config: Settings.
         state: After the report before.
         report: The newest; if it is not new, nothing changes.
         wanted: Speed fraction of the safety law; not a number counts as 0.
+        problem: Why the monitor's data are not fresh and healthy; empty: they
+            are.
 
     Returns:
         The next state, with the command in it.
@@ -175,6 +219,7 @@ def step_slider(
             command=state.command,
             count=state.count,
             ceiling=config.minimum_fraction,
+            cause="new session with the robot",
         )
     # Reports are counted, not time: a computer that was late has neither
     # written nor looked in the meantime.
@@ -185,28 +230,35 @@ def step_slider(
     fresh = math.isnan(state.fraction)
 
     replaced = tuple(
-        p for p in state.replaced if now - p[1] <= config.confirm_cycles
+        p for p in state.replaced if report.timestamp - p[2] <= _LATE
     )
     # Comparisons with an echo that is not a number are all false.
     obeys = abs(echo - state.fraction) <= config.tolerance
+    recent = [f for f, n, _ in replaced if now - n <= config.confirm_cycles]
     astray = not fresh and not _is_within(
-        echo, (state.fraction, *(f for f, _ in replaced)), config.tolerance
+        echo, (state.fraction, *recent), config.tolerance
     )
-    moved = astray and abs(echo - state.echo) > config.tolerance
+    moved = (
+        astray
+        and abs(echo - state.echo) > config.tolerance
+        and not _is_within(
+            echo, (state.fraction, *(f for f, *_ in replaced)), config.tolerance
+        )
+    )
     obeyed = state.obeyed + 1 if obeys else 0
-    confirmed = state.confirmed or obeys
+    confirmed = state.confirmed or (obeys and _is_standing(config, report))
     operator = state.operator_fraction
     if moved and config.yield_to_operator and not was_fault:
         operator = echo
 
-    ceiling = state.ceiling
-    if hold or not confirmed:
-        ceiling = config.minimum_fraction
-    elif ceiling < 1.0:
-        elapsed = report.timestamp - state.timestamp
-        ceiling += config.rise_rate * min(elapsed, _LONGEST_STEP)
-    if ceiling >= 1.0:
-        ceiling = math.inf
+    ceiling, healthy = _calc_ceiling(
+        config,
+        state,
+        echo=echo,
+        elapsed=min(report.timestamp - state.timestamp, _LONGEST_STEP),
+        is_down=bool(hold) or not confirmed,
+        is_well=not problem,
+    )
     target = max(min(wanted, ceiling), config.minimum_fraction)
     target = min(target, operator)
 
@@ -221,6 +273,7 @@ def step_slider(
         fault = now > deadline or math.isnan(echo)
     if fault:
         target, ceiling, deadline = 0.0, config.minimum_fraction, math.inf
+        healthy = 0.0
         confirmed = was_fault and confirmed
     if was_fault != fault:
         obeyed = 0
@@ -228,7 +281,11 @@ def step_slider(
     if moved and target == echo:
         set_it = fault
     if target != state.fraction and not fresh:
-        replaced = (*replaced, (state.fraction, now))
+        replaced = (*replaced, (state.fraction, now, report.timestamp))
+    cause = hold or problem or state.cause
+    if fault:
+        cause = "slider did not obey"
+    recovering = problem or (target < wanted and healthy < config.recovery_time)
     return SliderState(
         **_describe(
             state,
@@ -240,6 +297,10 @@ def step_slider(
             astray=astray,
             confirmed=confirmed,
             operator=operator,
+            recovering=f"slider at most {config.reduced_fraction:.2f} for "
+            f"now: {cause}"
+            if recovering
+            else "",
         ),
         command=SliderCommand(
             sequence=report.sequence,
@@ -258,10 +319,36 @@ def step_slider(
         deadline=deadline,
         operator_fraction=operator,
         ceiling=ceiling,
+        healthy=healthy,
+        cause=cause,
         left_zero=report.timestamp
         if target > 0.0 == state.fraction
         else state.left_zero,
     )
+
+
+def _calc_ceiling(config, state, *, echo, elapsed, is_down, is_well):
+    """Returns what is allowed now, and for how long all was well, s."""
+    if is_down:
+        return config.minimum_fraction, 0.0
+    reduced = config.reduced_fraction
+    healthy = state.healthy if is_well else 0.0
+    if healthy >= config.recovery_time:
+        ceiling = state.ceiling + config.rise_rate * elapsed
+        return (ceiling if ceiling < 1.0 else math.inf), healthy
+    if state.ceiling > reduced:
+        # From where the slider is; never up again.
+        ceiling = state.fraction - config.fall_rate * elapsed
+        return max(ceiling, reduced), 0.0
+    if is_well and abs(echo - reduced) <= config.tolerance:
+        healthy += elapsed
+    return min(state.ceiling + config.rise_rate * elapsed, reduced), healthy
+
+
+def _is_standing(config, report):
+    """Returns whether the robot stands still, or creeps if that is lowest."""
+    limit = _STANDING + config.minimum_fraction * _FASTEST
+    return bool((abs(report.velocity) <= limit).all())
 
 
 def _is_within(value, values, tolerance):
@@ -280,6 +367,7 @@ def _describe(
     astray,
     confirmed,
     operator,
+    recovering,
 ):
     """Returns phase and reason."""
     echo = report.target_speed_fraction
@@ -301,6 +389,8 @@ def _describe(
         return {"phase": SliderPhase.HOLDING, "reason": hold}
     if not confirmed:
         reason = f"slider at {echo:.2f}, not yet seen at {target:.2f}"
+        if abs(echo - target) <= 0.005:
+            reason = "waits until the robot stands still"
         return {"phase": SliderPhase.WAITING, "reason": reason}
     if astray:
         reason = f"slider was moved to {echo:.2f}, is set to {target:.2f}"
@@ -308,6 +398,8 @@ def _describe(
     if operator < wanted and target == operator:
         reason = f"someone has set the slider to {operator:.2f}"
         return {"phase": SliderPhase.YIELDING, "reason": reason}
+    if recovering:
+        return {"phase": SliderPhase.RECOVERING, "reason": recovering}
     if target < wanted:
         reason = f"slider rises from a stop, at {target:.2f}"
         return {"phase": SliderPhase.RISING, "reason": reason}

@@ -14,9 +14,14 @@ from tofssm_drake.visualization.animated import AnimatedProperty
 # Strokes on a grid of 4 by 6, as they would be written by hand.
 _LETTERS = {
     "A": ["00 26 40", "12 32"],
+    "B": ["00 06 36 45 44 33 03", "33 42 41 30 00"],
     "C": ["45 36 16 05 01 10 30 41"],
     "D": ["00 06 26 44 42 20 00"],
     "E": ["46 06 00 40", "03 33"],
+    "F": ["06 00", "46 06", "03 33"],
+    "H": ["06 00", "46 40", "03 43"],
+    "I": ["20 26"],
+    "K": ["06 00", "46 03 40"],
     "L": ["06 00 40"],
     "M": ["00 06 23 46 40"],
     "N": ["00 06 40 46"],
@@ -26,6 +31,7 @@ _LETTERS = {
     "S": ["45 36 16 05 04 13 33 42 41 30 10 01"],
     "T": ["06 46", "26 20"],
     "U": ["06 01 10 30 41 46"],
+    "W": ["06 10 24 30 46"],
 }
 
 
@@ -35,7 +41,8 @@ def make_word_mesh(
     """Makes flat letters as triangles.
 
     Args:
-        word: Of the letters of STOP, REDUCED, NORMAL.
+        word: Of the letters of what is shown: the states, the rings' names,
+            their health.
         height: Of a letter, m.
         stroke: Width of its strokes, m.
 

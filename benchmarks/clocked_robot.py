@@ -1,0 +1,68 @@
+"""A simulated robot's controller that notes when it steps and is answered.
+
+Run as a program: it prints its port, serves until it is told to stop, and
+then writes what it noted as JSON to the file it was given.
+"""
+
+import argparse
+import json
+from pathlib import Path
+import time
+
+from tofssm_drake.hardware.rtde_server import RtdeServer
+from tofssm_drake.hardware.simulated_ur import SimulatedUr, SimulatedUrConfig
+from tofssm_drake.robot.kinematics import RingKinematics
+from tofssm_drake.robot.program import make_program_path
+from tofssm_drake.robot.twin import make_cell_plant
+from tofssm_drake.scripts.simulate import catch_stop
+
+HEARTBEAT = "input_int_register_24"
+
+
+class ClockedUr(SimulatedUr):
+    """Notes the monotonic clock at the end of each cycle, when its package
+    is sent, and when each heartbeat arrives."""
+
+    def __init__(self, **options):
+        self.stepped = {}
+        self.received = {}
+        super().__init__(**options)
+
+    def step(self):
+        super().step()
+        self.stepped[self.timestamp] = time.monotonic()
+
+    def receive(self, values):
+        if HEARTBEAT in values:
+            self.received[values[HEARTBEAT]] = time.monotonic()
+        super().receive(values)
+
+
+def main():
+    parser = argparse.ArgumentParser()
+    parser.add_argument("series")
+    parser.add_argument("out", type=Path)
+    arguments = parser.parse_args()
+    config = SimulatedUrConfig(
+        series=arguments.series, start="heartbeat", loop=True
+    )
+    kinematics = RingKinematics.from_plant(make_cell_plant())
+    robot = ClockedUr(
+        config=config,
+        path=make_program_path(config.program, kinematics),
+        kinematics=kinematics,
+    )
+    robot.step()
+    with catch_stop() as stopped:
+        server = RtdeServer(robot=robot, port=0)
+        print(server.address[1], flush=True)
+        server.run(lambda: bool(stopped))
+    noted = {
+        "stepped": list(robot.stepped.items()),
+        "received": list(robot.received.items()),
+    }
+    arguments.out.write_text(json.dumps(noted))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,138 @@
+"""What a run on hardware took, from its record and from the robot's notes."""
+
+import dataclasses as dc
+from pathlib import Path
+
+from mcap.reader import make_reader
+import numpy as np
+
+from tofssm_drake.hardware.ring_receiver import RingDecoder, RingLinkConfig
+from tofssm_drake.hardware.ring_systems import is_ahead
+from tofssm_drake.hardware.run_record import RecordedTick, RunReader
+
+# The first ticks, while all that starts is still starting, s.
+_START = 1.0
+# As RingSubscriberSystem has it, s.
+_MAX_AHEAD = 0.004
+
+
+@dc.dataclass(frozen=True, kw_only=True)
+class Figures:
+    """What was measured; times in s."""
+
+    period: float
+    """Of the robot's reports."""
+    answer: np.ndarray
+    """From the arrival of a package to the write of its answer."""
+    round_trip: np.ndarray
+    """From the robot's cycle to the answer's arrival at the robot."""
+    to_host: np.ndarray
+    """The part of it before the arrival of the package."""
+    to_robot: np.ndarray
+    """The part of it after the write."""
+    frame: np.ndarray
+    """From a frame's arrival to the first command that was computed of it."""
+    change: np.ndarray
+    """The same where the command began to fall in that tick."""
+    missed: int
+    """Packages that never came, by the robot's clock."""
+    unanswered: int
+    """Packages that were not answered since a newer one was there."""
+    ticks: int
+    busy: float
+    """Part of one core's time that the whole program took."""
+
+
+def read_figures(path: Path, notes: dict | None = None) -> Figures:
+    """Returns the figures of a record.
+
+    Args:
+        path: Of the record.
+        notes: What `clocked_robot.py` wrote; None: nothing of the robot's side
+            is known.
+    """
+    reader = RunReader(path)
+    ticks = [t for t in reader.read_ticks() if t.time > _START]
+    period = reader.run["scenario"]["audit"]["rtde_period"]
+    trips = _find_trips(ticks, notes)
+    frame, change = _find_frames(path, reader.run, ticks)
+    sequence = np.array([t.report.sequence for t in ticks])
+    elapsed = ticks[-1].sent - ticks[0].sent
+    return Figures(
+        period=period,
+        answer=np.array([t.sent - t.report.time for t in ticks]),
+        round_trip=trips.sum(axis=1),
+        to_host=trips[:, 0],
+        to_robot=trips[:, 2],
+        frame=frame,
+        change=change,
+        missed=ticks[-1].report.missed - ticks[0].report.missed,
+        unanswered=int((np.diff(sequence) - 1).sum()),
+        ticks=len(ticks),
+        busy=(ticks[-1].busy - ticks[0].busy) / elapsed,
+    )
+
+
+def _find_trips(ticks: list[RecordedTick], notes):
+    """Returns the parts of each round trip, s, (k, 3)."""
+    if notes is None:
+        return np.empty((0, 3))
+    stepped, received = dict(notes["stepped"]), dict(notes["received"])
+    return np.array(
+        [
+            (
+                t.report.time - stepped[t.report.timestamp],
+                t.sent - t.report.time,
+                received[t.command.heartbeat] - t.sent,
+            )
+            for t in ticks
+            if t.command.heartbeat in received
+        ]
+    ).reshape(-1, 3)
+
+
+def _find_frames(path, run, ticks):
+    """Returns how long frames took to show in a command, and to change one.
+
+    The frames are decoded once more, which gives the scans of then.
+    """
+    arrivals = _decode_frames(path, run)
+    frame, change = [], []
+    taken = set()
+    newest, fractions = -np.inf, (0.0, 0.0)
+    for tick in ticks:
+        now = tick.time - tick.clock_offset + _MAX_AHEAD
+        for ring, scan in enumerate(tick.scans):
+            key = ring, scan.sequence
+            if key in taken or key not in arrivals or is_ahead(scan, now):
+                continue
+            taken.add(key)
+            newest = max(newest, arrivals[key])
+            # Those before the first tick were not seen by it at once.
+            if arrivals[key] > ticks[0].sent:
+                frame.append(tick.sent - arrivals[key])
+        fraction = tick.state["speed_fraction"]
+        if fractions[0] <= fractions[1] > fraction:
+            change.append(tick.sent - newest)
+        fractions = fractions[1], fraction
+    return np.array(frame), np.array(change)
+
+
+def _decode_frames(path, run):
+    """Returns when each frame came, s, by ring and sequence of its scan."""
+    scenario = run["scenario"]
+    decoder = RingDecoder(
+        config=RingLinkConfig(),
+        num_sensors=scenario["sensors_per_ring"],
+        timing_budget=scenario["rings"]["sensor"]["timing_budget"],
+    )
+    arrivals = {}
+    with path.open("rb") as stream:
+        for _, _, message in make_reader(stream).iter_messages(
+            topics=["/rings/received"]
+        ):
+            arrival = message.publish_time * 1e-9 - run["epoch"]
+            if decoder.receive_datagram(message.data, arrival):
+                for ring, scan in enumerate(decoder.scans):
+                    arrivals.setdefault((ring, scan.sequence), arrival)
+    return arrivals

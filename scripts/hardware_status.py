@@ -1,0 +1,243 @@
+"""What `tofssm hardware` tells while it runs: lines, and one that stays.
+
+A thread writes it. A terminal that is held (Ctrl-S, a slow network) holds the
+thread and not the loop that the robot waits for.
+"""
+
+import collections
+import contextlib
+import math
+import re
+import shutil
+import sys
+import threading
+import time
+from typing import TextIO
+
+from tofssm_drake.diagrams.hardware_loop import TickResult
+from tofssm_drake.hardware.ring_link import RingConnection, RingLinkStatus
+from tofssm_drake.hardware.robot_connection import RobotConnection
+from tofssm_drake.messages import RINGS, RobotReport, RobotState
+
+# Between two looks at what is new, s.
+_PERIOD = 0.2
+# A stop that is over is told when it has been over for so long, s: near a
+# threshold the state may change with each scan.
+_SETTLE = 1.0
+# Waits for a terminal that is held at the end, s.
+_FAREWELL = 1.0
+# Lines that wait for a terminal that is held.
+_WAITING = 100
+
+
+class HardwareStatus:
+    """Tells of a run; a context manager.
+
+    Args:
+        robot: The connection to the robot.
+        link: The connection to the rings; None: they are virtual.
+        dry_run: Whether nothing is written, so that the slider can not obey.
+        stream: Where to; None: stderr. A terminal also gets a line that
+            stays and is always new.
+    """
+
+    def __init__(
+        self,
+        *,
+        robot: RobotConnection,
+        link: RingConnection | None,
+        dry_run: bool,
+        stream: TextIO | None = None,
+    ):
+        self._robot = robot
+        self._link = link
+        self._dry_run = dry_run
+        self._stream = sys.stderr if stream is None else stream
+        self._changes = Changes(dry_run=dry_run)
+        self._lines = collections.deque(maxlen=_WAITING)
+        self._result: TickResult | None = None
+        self._missed = robot.get_report().missed
+        self._problems = {"robot": "", "rings": ""}
+        self._done = threading.Event()
+        self._thread = threading.Thread(
+            target=self._run, name="status", daemon=True
+        )
+
+    def __enter__(self) -> "HardwareStatus":
+        self._thread.start()
+        return self
+
+    def __exit__(self, *exception) -> None:
+        self._done.set()
+        self._thread.join(_FAREWELL)
+
+    def show(self, result: TickResult | None) -> None:
+        """Takes what is new; returns at once."""
+        if result is None or result is self._result:
+            return
+        self._result = result
+        line = self._changes.find(result)
+        if line:
+            self._lines.append(line)
+
+    def _run(self):
+        # A terminal that is gone is no reason for anything.
+        with contextlib.suppress(OSError, ValueError):
+            while not self._done.wait(_PERIOD):
+                self._write()
+            self._write()
+            if self._stream.isatty():
+                self._stream.write("\r\x1b[K")
+                self._stream.flush()
+
+    def _write(self):
+        self._find_problem("robot", self._robot.get_status().problem)
+        rings = None if self._link is None else self._link.get_status()
+        if rings is not None:
+            self._find_problem("rings", rings.error)
+        is_terminal = self._stream.isatty()
+        text = ""
+        while self._lines:
+            text += self._lines.popleft() + "\n"
+        if is_terminal:
+            # Over what stood there, as wide as the terminal is now.
+            text = "\r\x1b[K" + text
+            width = shutil.get_terminal_size().columns
+            if self._result is not None:
+                text += self._describe(rings, width)
+        if text:
+            self._stream.write(text)
+            self._stream.flush()
+
+    def _describe(self, rings, width):
+        return describe_status(
+            self._result,
+            self._robot.get_report(),
+            rings,
+            now=time.monotonic(),
+            missed_before=self._missed,
+            dry_run=self._dry_run,
+            # The last column may break the line.
+            width=width - 1,
+        )
+
+    def _find_problem(self, who, problem):
+        """Says once what is wrong with a link, and when it is not."""
+        if problem != self._problems[who]:
+            self._problems[who] = problem
+            self._lines.append(f"{who}: {problem or 'all is well again'}")
+
+
+class Changes:
+    """Finds which ticks are worth a line.
+
+    A stop is told at once, its end when it has lasted for a second: near a
+    threshold the state may change with each scan.
+
+    Args:
+        dry_run: Whether nothing is written, so that the slider can not obey.
+    """
+
+    def __init__(self, *, dry_run: bool):
+        self._dry_run = dry_run
+        self._told = None
+        self._health = None
+        self._stopped = False
+        self._since = -math.inf
+
+    def find(self, result: TickResult) -> str:
+        """Returns the line for a tick; empty: nothing is new.
+
+        Args:
+            result: Of the next tick.
+        """
+        if result.robot_state == RobotState.STOP:
+            self._stopped = True
+            self._since = result.time
+        elif result.time - self._since >= _SETTLE:
+            self._stopped = False
+        told = (self._stopped, result.problem)
+        if not self._dry_run:
+            # Numbers come and go.
+            reason = re.sub(r"[0-9.]+", "", result.slider.reason)
+            told = (*told, result.slider.phase, reason)
+        if told == self._told:
+            return ""
+        self._told = told
+        health = describe_health(result, dry_run=self._dry_run)
+        if health == self._health:
+            return ""
+        self._health = health
+        return f"{result.time:8.2f} s  {health}"
+
+
+def describe_health(result: TickResult, *, dry_run: bool) -> str:
+    """Returns one line: state, phase of the slider, and why.
+
+    Args:
+        result: Of the newest tick.
+        dry_run: Whether nothing is written, so that the slider can not obey.
+    """
+    state = RobotState(result.robot_state).name.lower()
+    if dry_run:
+        return result.reason
+    phase = result.slider.phase.name.lower()
+    return f"{state}, slider {phase}: {result.health or 'all is well'}"
+
+
+def describe_status(
+    result: TickResult,
+    report: RobotReport,
+    rings: RingLinkStatus | None,
+    *,
+    now: float,
+    missed_before: int = 0,
+    dry_run: bool = False,
+    width: int = 1000,
+) -> str:
+    """Returns the line that stays, no wider than the terminal.
+
+    State, nearest ring and distance, speed fraction commanded and echoed,
+    ages of what came last, gaps (packages and frames that never came), and
+    what else there is room for.
+
+    Args:
+        result: Of the newest tick.
+        report: The robot's newest.
+        rings: Of the link; None: they are virtual.
+        now: Host's time, s.
+        missed_before: Packages that were missed before the run.
+        dry_run: Whether nothing is written.
+        width: Characters that there is room for.
+    """
+    distance = result.separation.distance
+    nearest = int(distance.argmin())
+    near = "clear"
+    if math.isfinite(distance[nearest]):
+        near = f"{RINGS[nearest]} {distance[nearest]:.2f} m"
+    ages = f"age robot {_format_age(now - report.time)}"
+    gaps = f"gaps {report.missed - missed_before}"
+    if rings is not None:
+        ages += f", rings {_format_age(now - min(rings.arrival.values()))}"
+        gaps += f", {sum(c.lost for c in rings.counts.values())}"
+    parts = [
+        RobotState(result.robot_state).name.lower(),
+        *(["dry run"] if dry_run else []),
+        near,
+        f"rho {result.speed_fraction:.2f}, "
+        f"echo {report.target_speed_fraction:.2f}",
+        f"{ages} ms",
+        gaps,
+        f"{result.products_placed} placed",
+        result.slider.reason,
+        "" if rings is None else rings.describe(now),
+    ]
+    line = parts[0]
+    for part in parts[1:]:
+        if part and len(line) + 2 + len(part) <= width:
+            line += f"  {part}"
+    return line[:width]
+
+
+def _format_age(seconds):
+    return f"{1e3 * seconds:.0f}" if seconds < 100.0 else "-"

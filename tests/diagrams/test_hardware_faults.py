@@ -1,0 +1,171 @@
+"""Each fault, on a robot at full speed: how long until it stands, and back.
+
+The times are those of the robot's cycles, the same on every computer: what a
+real one adds is measured by `make fault-table`.
+"""
+
+import unittest
+
+from lockstep import CYCLE, Cell
+
+from tofssm_drake.errors import UserError
+from tofssm_drake.hardware.rtde_fields import RuntimeState, SafetyMode
+from tofssm_drake.hardware.slider import SliderPhase
+from tofssm_drake.messages import RobotState
+
+
+class TestFaults(unittest.TestCase):
+    @classmethod
+    def setUpClass(cls):
+        cls.cell = Cell()
+
+    def setUp(self):
+        if self.cell.run.ticks:
+            self.cell.wait_for_full_speed()
+
+    def check(self, *, zero, still, health, duration=1.0):
+        """Measures from now on; the limits are in s."""
+        times = self.cell.measure(duration)
+        self.assertLessEqual(times.zero, zero, times)
+        self.assertLessEqual(times.still, still, times)
+        self.assertRegex(times.health, health)
+        return times
+
+    def check_return(self):
+        """Speed comes back through half a second at the reduced fraction."""
+        cell = self.cell
+        if not cell.robot.is_program_running():
+            cell.robot.play()
+        sliders, problems = [cell.robot.slider], [True]
+        while sliders[-1] <= 0.5:
+            result = cell.step()
+            sliders.append(cell.robot.slider)
+            problems.append(bool(result.problem))
+            self.assertLess(len(sliders), 10 / CYCLE)
+        self.assertEqual(sliders[0], 0.0)
+        time_at_half = sum(s == 0.5 for s in sliders) * CYCLE
+        self.assertGreaterEqual(time_at_half, 0.5)
+        self.assertLessEqual(time_at_half, 0.6)
+        # All of that time with fresh and healthy data.
+        self.assertFalse(any(problems[-int(0.5 / CYCLE) :]))
+        cell.wait_for_full_speed()
+        self.assertEqual(cell.result.health, "")
+
+    def test_without_a_scan_of_each_ring_it_does_not_move(self):
+        cell = Cell()
+        for _ in range(40):
+            cell.step()
+            self.assertEqual(cell.robot.path_time, 0.0)
+        self.assertEqual(cell.result.robot_state, RobotState.STOP)
+        self.assertIn("no sample yet", cell.result.health)
+
+    # Longest times to 0, s. 0.4 s are the law's ramp from full speed, 0.1 s
+    # its deadline for a sample, of which some time is over when the fault
+    # begins; a frozen sensor takes 25 repetitions of 0.024 s.
+    RINGS = (
+        ("silent", "elbow", 0.52, "elbow sample is .* s old"),
+        ("corrupt", "base", 0.52, "base sample is .* s old"),
+        ("late", "tool", 0.52, "tool"),
+        ("duplicate", "elbow", 0.54, "elbow sample is .* s old"),
+        ("frozen", "base", 1.10, "base is faulted"),
+        ("implausible", "tool", 0.45, "tool is faulted"),
+        ("bus", "elbow", 0.45, "elbow is faulted"),
+        ("restart", "base", 0.52, "base sample is .* s old"),
+    )
+
+    def test_rings(self):
+        for kind, ring, limit, why in self.RINGS:
+            with self.subTest(kind=kind):
+                self.cell.wait_for_full_speed()
+                self.cell.inject(kind, ring)
+                self.check(
+                    zero=limit,
+                    still=limit + 2 * CYCLE,
+                    health=why,
+                    duration=1.5,
+                )
+                self.cell.heal()
+                self.check_return()
+
+    def test_robot_whose_reports_stay_away(self):
+        """Its slider stays where it was: its watchdog ends the program."""
+        cell = self.cell
+        cell.is_silent = True
+        times = cell.measure(0.6)
+        self.assertLessEqual(times.still, 0.2 + 0.2 + 4 * CYCLE)
+        self.assertEqual(cell.robot.slider, 1.0)
+        self.assertEqual(cell.robot.runtime_state, RuntimeState.STOPPED)
+        cell.is_silent = False
+        # The first command of the new session.
+        self.check(zero=4 * CYCLE, still=CYCLE, health="program: stopped")
+        self.check_return()
+
+    def test_robot_whose_reports_are_late(self):
+        cell = self.cell
+        cell.delay = 0.15
+        self.check(zero=0.65, still=0.65, health="sample is .* s old")
+        cell.delay = 0.0
+        self.check_return()
+
+    def test_robot_whose_reports_are_very_late_or_gone_for_good(self):
+        for fault, why in (
+            ({"delay": 0.3}, "reports come [23].. ms late"),
+            ({"is_silent": True}, "no report for 10 s: it is silent"),
+        ):
+            with self.subTest(fault):
+                cell = Cell()
+                cell.wait_for_full_speed()
+                vars(cell).update(fault)
+                with self.assertRaisesRegex(UserError, why):
+                    cell.measure(11.0)
+
+    def test_slider_that_does_not_obey(self):
+        """Together with a ring: else there is nothing to obey."""
+        cell = self.cell
+        cell.robot.slider_frozen = True
+        cell.inject("bus", "elbow")
+        times = cell.measure(1.2)
+        # 11 cycles until it is a fault, 0.2 s watchdog, 0.2 s to stop.
+        self.assertLessEqual(times.still, 0.55)
+        self.assertEqual(cell.robot.slider, 1.0)
+        self.assertRegex(times.health, "slider does not obey: at 1.00, not")
+        self.assertEqual(cell.result.slider.phase, SliderPhase.FAULT)
+        cell.robot.slider_frozen = False
+        cell.heal()
+        cell.wait_until(lambda r: cell.robot.slider == 0.0)
+        self.check_return()
+
+    def test_clock_that_jumps(self):
+        for seconds in (5.0, -5.0):
+            with self.subTest(seconds=seconds):
+                self.cell.wait_for_full_speed()
+                self.cell.robot.shift_clock(seconds)
+                # Nothing else is wrong: it comes back at once.
+                self.check(
+                    zero=2 * CYCLE,
+                    still=0.2 + 2 * CYCLE,
+                    health="new session",
+                    duration=0.2 + 0.5 * CYCLE,
+                )
+                self.check_return()
+
+    def test_modes(self):
+        cell = self.cell
+        for act, why in (
+            (
+                lambda: cell.robot.set_safety_mode(SafetyMode.PROTECTIVE_STOP),
+                "safety mode: protective stop",
+            ),
+            (cell.robot.pause, "program: paus"),
+            (cell.robot.stop, "program: stop"),
+        ):
+            with self.subTest(why=why):
+                cell.wait_for_full_speed()
+                act()
+                self.check(zero=4 * CYCLE, still=0.3, health=why, duration=0.4)
+                cell.robot.set_safety_mode(SafetyMode.NORMAL)
+                self.check_return()
+
+
+if __name__ == "__main__":
+    unittest.main()

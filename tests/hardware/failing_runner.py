@@ -1,0 +1,27 @@
+"""`tofssm` with a system that raises once a file is there.
+
+failing_runner.py FILE hardware ...
+"""
+
+from pathlib import Path
+import sys
+
+from tofssm_drake.scripts.main import run
+from tofssm_drake.ssm import tri_ssm
+
+
+def main():
+    """Runs it."""
+    trigger, function = Path(sys.argv[1]), tri_ssm.calc_ring_states
+
+    def fail(**arguments):
+        if trigger.exists():
+            raise RuntimeError("something is broken")
+        return function(**arguments)
+
+    tri_ssm.calc_ring_states = fail
+    sys.exit(run(sys.argv[2:]))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,31 @@
+"""Whether what the safety law works on is fresh and healthy."""
+
+from tofssm_drake.messages import RingHealth, SafetyIndex, Separation
+
+_WORKING = (RingHealth.HEALTHY, RingHealth.BLIND)
+
+
+def find_sensing_problem(
+    *, index: SafetyIndex | Separation, now: float, deadline: float
+) -> str:
+    """Says what is wrong with the sensing of some link; "": with none.
+
+    It is what the safety law stops for without having seen anybody: no
+    sample, a faulted ring, a sample further from now than the deadline. The
+    text does not change while the same is wrong.
+
+    Args:
+        index: The law's, or what it is computed of: with time and health of
+            each link's sensing.
+        now: Time, s, on the clock of `index.time`.
+        deadline: The law's, s.
+    """
+    for i, name in enumerate(index.name):
+        if index.sequence[i] < 0:
+            return f"{name} has no sample yet"
+        if index.health[i] not in _WORKING:
+            return f"{name} is faulted"
+        # Not a number is too old, too.
+        if not abs(now - index.time[i]) <= deadline:
+            return f"{name} sample is too old"
+    return ""
