@@ -7,11 +7,14 @@ import time
 import numpy as np
 from pydrake.common.value import AbstractValue
 from pydrake.geometry import Meshcat
-from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Context
 
 from tofssm_drake.diagrams.hardware_station import make_hardware_station
 from tofssm_drake.diagrams.scenario import Scenario, make_law
+from tofssm_drake.diagrams.simulation import (
+    find_binding_objects,
+    make_simulator,
+)
 from tofssm_drake.diagrams.workcell import Workcell, make_workcell
 from tofssm_drake.hardware.held_connections import HeldRings, HeldRobot
 from tofssm_drake.hardware.slider import (
@@ -286,7 +289,7 @@ class HardwareLoop:
         )
 
     def _start(self, context):
-        self._simulator = Simulator(self._workcell.diagram, context)
+        self._simulator = make_simulator(self._workcell.diagram, context)
         root = self._simulator.get_mutable_context()
         self._monitor_context = self._monitor.GetMyContextFromRoot(root)
         self._publisher_context = self._publisher.GetMyContextFromRoot(root)
@@ -307,6 +310,7 @@ class HardwareLoop:
                 "clock_offset"
             ).FixValue(self._ring_context, [0.0])
         self._initialized = False
+        self._held = find_binding_objects(self._workcell.diagram, root)
 
     def _send_if_live(self, command):
         if not self._sending or self._send is None or not self._send(command):

@@ -16,6 +16,9 @@ from tofssm_drake.leaf_system import LeafSystem
 
 _TICKS_PER_STEP = 25
 
+# Longer than the time between events, s.
+_LONG = 10.0
+
 
 @dc.dataclass(frozen=True, kw_only=True)
 class Progress:
@@ -53,12 +56,8 @@ class Run:
         self._workcell = workcell
         self._duration = scenario.simulation_duration
         self._step = _TICKS_PER_STEP * scenario.control_period
-        self._simulator = Simulator(
+        self._simulator = make_simulator(
             workcell.diagram, workcell.make_context(scenario.random_seed)
-        )
-        # There is no continuous state: the integrator that does least.
-        ResetIntegratorFromFlags(
-            self._simulator, "explicit_euler", scenario.control_period
         )
         self._simulator.set_target_realtime_rate(real_time_rate)
         self._simulator.Initialize()
@@ -106,6 +105,15 @@ class Run:
     def make_samples(self) -> Samples:
         """Returns what was recorded so far."""
         return self._workcell.recorder.make_samples(self._context)
+
+
+def make_simulator(diagram: Diagram, context: Context) -> Simulator:
+    """Makes the Simulator of a Diagram without continuous state."""
+    simulator = Simulator(diagram, context)
+    # There is nothing to integrate: the integrator that does least, in steps
+    # that never are what ends one.
+    ResetIntegratorFromFlags(simulator, "explicit_euler", _LONG)
+    return simulator
 
 
 def find_binding_objects(diagram: Diagram, root_context: Context) -> list:
