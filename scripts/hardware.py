@@ -46,6 +46,8 @@ from tofssm_drake.scripts.simulate import (
 )
 
 _VIRTUAL = "virtual"
+# An echo of the slider below that is 0.
+_AT_ZERO = 0.005
 
 _console = Console(stderr=True, highlight=False)
 
@@ -254,7 +256,7 @@ def hardware(
         _console.print(describe_robot(status, scenario.control_period))
         end = _run(run, robot, link, stopped, duration, dry_run)
         robot.close()
-    print(f"{end.reason}; {_describe_slider(dry_run)}", flush=True)
+    print(f"{end.reason}; {_describe_slider(robot, dry_run)}", flush=True)
     if out is not None and end.result is not None:
         _write_report(
             loop,
@@ -280,7 +282,7 @@ class _End:
 
 def _run(run, robot, link, stopped, duration, dry_run):
     """Runs until something ends it; closes the robot before it tells."""
-    result = None
+    result, has_begun = None, False
     begin = time.monotonic()
     status = HardwareStatus(robot=robot, link=link, dry_run=dry_run)
     try:
@@ -292,9 +294,12 @@ def _run(run, robot, link, stopped, duration, dry_run):
                 if stopped:
                     end = _End("interrupted", 130)
                     break
-                if result is not None and result.task_done:
-                    end = _End("all products are placed", 0)
-                    break
+                if result is not None:
+                    # The number may be that of the program's run before.
+                    has_begun = has_begun or not result.task_done
+                    if has_begun and result.task_done:
+                        end = _End("all products are placed", 0)
+                        break
                 if duration and elapsed >= duration:
                     end = _End(f"ran for {duration:g} s", 0)
                     break
@@ -323,8 +328,12 @@ def describe_robot(status: RtdeStatus, control_period: float) -> str:
     )
 
 
-def _describe_slider(dry_run):
-    return "nothing was written (dry run)" if dry_run else "slider set to 0"
+def _describe_slider(robot, dry_run):
+    if dry_run:
+        return "nothing was written (dry run)"
+    if robot.get_report().target_speed_fraction < _AT_ZERO:
+        return "slider set to 0"
+    return "slider not seen at 0: its own watchdog must stop the robot"
 
 
 def _write_report(loop, scenario, end, out, name, command, is_real):

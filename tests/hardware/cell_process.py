@@ -21,6 +21,8 @@ from tofssm_drake.messages import RobotReport
 
 NOBODY = "{human: !NoHuman {}}"
 _MAIN = ("-m", "tofssm_drake.scripts.main")
+# What starts a runner that does not mind a busy computer.
+PATIENT = (Path(__file__).parent / "patient_runner.py",)
 # The slowest machine on which a process still starts in time, s.
 _PATIENCE = 120.0
 # A robot that does not rest within that time never does, s.

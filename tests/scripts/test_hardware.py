@@ -76,6 +76,10 @@ def run_replay(path):
 
 class TestHardware(unittest.TestCase):
     def setUp(self):
+        # On a busy computer reports come late; see test_hardware_faults.
+        latest = mock.patch.object(hardware_run, "_LATEST", 10.0)
+        latest.start()
+        self.addCleanup(latest.stop)
         folder = tempfile.TemporaryDirectory()
         self.addCleanup(folder.cleanup)
         self.folder = Path(folder.name)
@@ -222,9 +226,9 @@ class TestHardware(unittest.TestCase):
             for a, b in itertools.pairwise(ticks)
             if b.report.session != a.report.session
         ]
-        # A busy computer may make shorter ones by itself.
+        # A busy computer may make more of them by itself.
         stalls = [a for a, b in anew if b.report.time - a.report.time > 0.4]
-        self.assertEqual(len(stalls), 1)
+        self.assertGreaterEqual(len(stalls), 1)
         for _, first in anew:
             self.assertEqual(first.command.speed_fraction, 0.0)
             self.assertEqual(first.command.mask, 1)
@@ -233,10 +237,12 @@ class TestHardware(unittest.TestCase):
         with (
             serve() as server,
             mock.patch.object(hardware_run, "_LONGEST_SILENCE", 0.5),
+            # By then it has left 0.
             at_ticks({60: lambda: server.do("simulate stall 60")}),
         ):
             code, out, err = run_hardware(server)
         self.assertEqual(code, 1, err)
+        self.assertIn("slider not seen at 0: its own watchdog", out)
         self.assertRegex(out, r"stopped: robot: no report for \d+ s: ")
         self.assertEqual(len(out.splitlines()), 1, out)
 
@@ -261,6 +267,15 @@ class TestHardware(unittest.TestCase):
         self.assertIn("can not write it: File too large; slider set to 0", out)
         self.assertNotIn("Traceback", out + err)
         self.assertGreater(len(list(RunReader(path).read_ticks())), 20)
+
+    def test_products_of_a_run_before_are_not_the_end(self):
+        robot = make_robot(start="dashboard")
+        robot.path_time = 1e3
+        with serve(robot) as server:
+            code, out, err = run_hardware(server, "--duration", 1)
+            self.assertEqual(robot.outputs["output_int_register_24"], 2)
+        self.assertEqual(code, 0, err)
+        self.assertIn("ran for 1 s", out)
 
     def test_says_why_the_robot_is_slow(self):
         """Whatever a person, the robot or a fieldbus does: one line each."""

@@ -13,7 +13,7 @@ import tempfile
 import time
 import unittest
 
-from cell_process import CellProcess, Program
+from cell_process import PATIENT, CellProcess, Program
 from mcap.reader import make_reader
 
 from tofssm_drake.hardware.rtde_fields import (
@@ -56,7 +56,7 @@ class TestRings(unittest.TestCase):
             CellProcess("udp") as cell,
         ):
             path = Path(folder) / "run.mcap"
-            runner = cell.start_runner("--record", path)
+            runner = cell.start_runner("--record", path, main=PATIENT)
             cell.wait_for_full_speed(runner)
             # Rings that hang, and go on.
             start = time.monotonic()
@@ -77,7 +77,7 @@ class TestRings(unittest.TestCase):
             self.assertIn("interrupted; slider set to 0", runner.out)
             self.check_record(path, "sample is")
             # Another one is killed: the robot's watchdog does the rest.
-            runner = cell.start_runner()
+            runner = cell.start_runner(main=PATIENT)
             cell.wait_for_full_speed(runner)
             start = time.monotonic()
             runner.process.kill()
@@ -91,7 +91,7 @@ class TestRings(unittest.TestCase):
     def test_serial(self):
         with CellProcess("pty") as cell:
             self.assertRegex(cell.address, "serial:///dev/")
-            runner = cell.start_runner()
+            runner = cell.start_runner(main=PATIENT)
             cell.wait_for_full_speed(runner)
             # The device is unplugged.
             start = time.monotonic()
