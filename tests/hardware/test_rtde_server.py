@@ -291,7 +291,10 @@ class TestStreams(TestServer):
 
         times = read(2)
         self.server.do("simulate skip 5")
-        self.assertGreaterEqual(max(steps(times + read(20))), 6)
+        times += read(20)
+        # Over all of them, as a busy computer may be late with any one.
+        (passed,) = steps([times[0], times[-1]])
+        self.assertGreaterEqual(passed - (len(times) - 1), 5)
         self.server.do("simulate duplicate on")
         self.assertIn(0, steps(read(20)))
         self.server.do("simulate duplicate off")

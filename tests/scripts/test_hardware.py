@@ -122,7 +122,7 @@ class TestHardware(unittest.TestCase):
                 with self.subTest(options=options):
                     code, _, err = run_hardware(
                         server,
-                        *("--duration", 0.5, "--record", path, *options),
+                        *("--duration", 2, "--record", path, *options),
                     )
                     self.assertEqual(code, 0, err)
                     self.assertIn(
