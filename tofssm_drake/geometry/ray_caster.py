@@ -5,9 +5,10 @@ Drake's QueryObject answers distance queries, but has no ray cast
 along lines: range finders, lidars, visibility.
 """
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterable, Sequence
 import copy
 import dataclasses as dc
+import reprlib
 
 import numpy as np
 from pydrake.geometry import (
@@ -120,7 +121,7 @@ class RayCaster:
             UserError: If a geometry's shape can not be cast, or has a size or
                 place of 1e100 m or more; names it.
             ValueError: If the role is none, or a geometry of `geometry_ids`
-                has not the role or is unknown.
+                has not the role, is unknown or no GeometryId.
         """
         if role == Role.kUnassigned:
             raise ValueError(
@@ -133,7 +134,7 @@ class RayCaster:
         if geometry_ids is None:
             self._geometry_ids = with_role
         else:
-            wanted = set(geometry_ids)
+            wanted = set(_check_geometry_ids("geometry_ids", geometry_ids))
             self._geometry_ids = [g for g in with_role if g in wanted]
             for stranger in wanted.difference(with_role):
                 raise ValueError(
@@ -311,8 +312,9 @@ class RayCaster:
 
         Raises:
             ValueError: If shapes of arrays do not fit, if a direction is not
-                a unit vector, if a number is NaN, or if the SceneGraph had no
-                such frame when the caster was made.
+                a unit vector, if a number is NaN, if the SceneGraph had no
+                such frame when the caster was made, or if `excluded` holds
+                anything but GeometryIds.
         """
         X_FS = _copy_numbers(
             "X_FS",
@@ -346,15 +348,18 @@ class RayCaster:
             )
         active = np.ones((m, len(self._geometry_ids)), dtype=bool)
         if excluded is not None:
+            if not isinstance(excluded, Iterable):
+                raise ValueError(
+                    f"excluded: {_show(excluded)} is not a collection of"
+                    " GeometryIds for each bundle"
+                )
+            excluded = list(excluded)
             if len(excluded) != m:
                 raise ValueError(
                     f"excluded: {len(excluded)} collections for {m} bundles"
                 )
-            for row, unseen in zip(active, excluded, strict=True):
-                for geometry_id in unseen:
-                    index = self._geometry_row.get(geometry_id)
-                    if index is not None:
-                        row[index] = False
+            for i, unseen in enumerate(excluded):
+                active[i, self._find_rows(f"excluded[{i}]", unseen)] = False
         frame_index = np.array(
             [self._find_frame(f) for f in frame_ids], dtype=np.int64
         )
@@ -449,7 +454,8 @@ class RayCaster:
             p_WR: Origins of the n rays, shape (n, 3), m.
             n_WR: Their directions, unit vectors, shape (n, 3).
             max_range: Length of the rays, m.
-            excluded: Geometries that none of them sees.
+            excluded: Geometries that none of them sees; see also
+                `get_geometry_ids`.
 
         Returns:
             (distance, geometry_index): as `cast_bundles`, shape (n,).
@@ -457,7 +463,8 @@ class RayCaster:
         Raises:
             ValueError: If shapes of arrays do not fit, if a direction is not
                 a unit vector, if a pose is none, if a number is not finite,
-                or if an origin is 1e100 m or more away.
+                if an origin is 1e100 m or more away, or if `excluded` holds
+                anything but GeometryIds.
             RuntimeError: See `poses_from_query_object`.
         """
         if isinstance(poses, QueryObject):
@@ -472,10 +479,7 @@ class RayCaster:
         if not max_range >= 0.0:
             raise ValueError(f"max_range: {max_range} is not >= 0")
         active = np.ones(len(self._geometry_ids), dtype=bool)
-        for geometry_id in excluded:
-            index = self._geometry_row.get(geometry_id)
-            if index is not None:
-                active[index] = False
+        active[self._find_rows("excluded", excluded)] = False
         status, distance, index = ray_kernels.cast_rays(
             X_WF,
             self._scene,
@@ -650,6 +654,15 @@ class RayCaster:
                 self._posed_frame_ids.append(frame_id)
         return row
 
+    def _find_rows(self, where: str, geometry_ids) -> list[int]:
+        """Returns the rows of those geometries that this caster has."""
+        rows = self._geometry_row
+        return [
+            rows[g]
+            for g in _check_geometry_ids(where, geometry_ids)
+            if g in rows
+        ]
+
     def _check_bundles(self, bundles: RayBundles) -> None:
         if bundles._caster is not self:
             raise ValueError("bundles: made by another RayCaster")
@@ -694,6 +707,28 @@ def _copy_numbers(where: str, array) -> np.ndarray:
     if array.dtype.kind not in "iuf":
         raise ValueError(f"{where}: {array.dtype} are no real numbers")
     return np.array(array, dtype=float, order="C")
+
+
+def _check_geometry_ids(where: str, geometry_ids) -> list[GeometryId]:
+    """Returns a list of them, unless anything else is among them."""
+    if not isinstance(geometry_ids, Iterable):
+        raise ValueError(
+            f"{where}: {_show(geometry_ids)} is not a collection of GeometryIds"
+        )
+    geometry_ids = list(geometry_ids)
+    for stranger in geometry_ids:
+        if not isinstance(stranger, GeometryId):
+            raise ValueError(
+                f"{where}: has {_show(stranger)}, a {type(stranger).__name__},"
+                " which is no GeometryId; get_geometry_ids tells those of the"
+                " indices that a cast returns"
+            )
+    return geometry_ids
+
+
+def _show(thing) -> str:
+    """Returns what it is in short, in one line."""
+    return " ".join(reprlib.repr(thing).split())
 
 
 def _name_geometry(inspector: SceneGraphInspector, geometry_id) -> str:
