@@ -470,6 +470,22 @@ class TestRayCaster(unittest.TestCase):
         bundles = dut.make_bundles(**bundle, excluded=[{seen, stranger}])
         self.assertEqual(bundles.active.tolist(), [[False]])
 
+    def test_lists_of_ids_are_the_callers_own(self):
+        """Who sorts or empties them does not change what is seen."""
+        scene = oracle.Scene()
+        for _ in range(2):
+            scene.add(Sphere(0.1), None, scene.add_frame())
+        dut = mut.RayCaster(scene.inspector)
+        geometry_ids, frame_ids = [*dut.geometry_ids], [*dut.frame_ids]
+        dut.geometry_ids.reverse()
+        dut.frame_ids.clear()
+        self.assertEqual(dut.geometry_ids, geometry_ids)
+        self.assertEqual(dut.frame_ids, frame_ids)
+        self.assertEqual(
+            dut.get_geometry_ids(np.arange(len(geometry_ids))).tolist(),
+            geometry_ids,
+        )
+
     def test_unsupported_shape_is_named(self):
         scene = oracle.Scene()
         scene.add(MeshcatCone(1.0), name="horn")

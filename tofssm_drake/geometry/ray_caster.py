@@ -196,17 +196,21 @@ class RayCaster:
 
     @property
     def geometry_ids(self) -> list[GeometryId]:
-        """The geometries that are seen; indices in results point here."""
-        return self._geometry_ids
+        """The geometries that are seen; indices in results point here.
+
+        A new list each time.
+        """
+        return list(self._geometry_ids)
 
     @property
     def frame_ids(self) -> list[FrameId]:
         """The frames whose poses a query needs, in this order.
 
         Those of the geometries, the world frame included where it is used,
-        then those that `make_bundles` has added. See also `FramePoses`.
+        then those that `make_bundles` has added. A new list each time. See
+        also `FramePoses`.
         """
-        return self._frame_ids
+        return list(self._frame_ids)
 
     @property
     def world_frame_id(self) -> FrameId:
