@@ -196,6 +196,11 @@ class TestBundles(unittest.TestCase):
             (dict(excluded=[[], []]), "excluded: 2 collections for 1"),
             (dict(X_FS=[np.eye(3, 4) + 0j]), "X_FS: complex128"),
             (dict(fan_S=[[1j, 0, 0]]), "fan_S: complex128"),
+            (
+                dict(X_FS=np.ma.masked_array([np.eye(3, 4)])),
+                "X_FS: a masked array",
+            ),
+            (dict(fan_S=[np.ma.masked_array([1.0, 0, 0])]), "fan_S: a masked"),
             (dict(max_range="far"), "max_range: .* no real number"),
             (dict(frame_id=FrameId.get_new_id()), "frame_id: .* had no <Fra"),
         ):

@@ -705,12 +705,25 @@ def _as_packed(where: str, array) -> np.ndarray:
 
 def _copy_numbers(where: str, array) -> np.ndarray:
     """Returns a copy, real numbers, unless they are none."""
-    if isinstance(array, np.ma.MaskedArray):
+    if _has_masked_array(array):
         raise ValueError(f"{where}: a masked array, which hides numbers")
     array = np.asarray(array)
     if array.dtype.kind not in "iuf":
         raise ValueError(f"{where}: {array.dtype} are no real numbers")
     return np.array(array, dtype=float, order="C")
+
+
+def _has_masked_array(array) -> bool:
+    """Returns whether it is a masked array, or a list with one in it."""
+    if isinstance(array, np.ma.MaskedArray):
+        return True
+    if not isinstance(array, Sequence) or isinstance(array, str | bytes):
+        return False
+    # Few kinds are in many rows: numbers are not looked at one by one.
+    kinds = set(map(type, array))
+    if kinds <= {float, int, np.ndarray}:
+        return False
+    return any(map(_has_masked_array, array))
 
 
 def _check_geometry_ids(where: str, geometry_ids) -> list[GeometryId]:
