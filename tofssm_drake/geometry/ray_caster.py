@@ -32,7 +32,11 @@ from pydrake.math import RigidTransform
 from tofssm_drake.errors import UserError
 from tofssm_drake.geometry import ray_kernels, shape_kernels
 from tofssm_drake.geometry.ball_tree import make_ball_tree
-from tofssm_drake.geometry.triangle_mesh import describe_mesh_source, read_mesh
+from tofssm_drake.geometry.triangle_mesh import (
+    check_hull_source,
+    describe_mesh_source,
+    read_mesh,
+)
 from tofssm_drake.geometry.triangle_tree import TriangleTree
 
 _UNIT_TOLERANCE = 1e-6
@@ -933,6 +937,7 @@ class _Pool:
         return root
 
     def _add_convex(self, shape: Convex, name: str):
+        check_hull_source(shape, name)
         try:
             hull = shape.GetConvexHull()
         except RuntimeError as error:
