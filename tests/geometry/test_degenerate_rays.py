@@ -479,6 +479,9 @@ class TestRaysThatAreNone(unittest.TestCase):
             ((p, np.array(n) + 0j), "n_WR: complex128 are no real"),
             ((np.ma.masked_array(p, True), n), "p_WR: a masked array"),
             ((p, np.ma.masked_array(n)), "n_WR: a masked array"),
+            (([np.ma.masked_array(p[0], True)], n), "p_WR: a masked array"),
+            ((p, (np.ma.masked_array(n[0]),)), "n_WR: a masked array"),
+            (([[0.0, 0, np.ma.masked_array(0, True)]], n), "p_WR: a masked"),
             (([["0", "0", "0"]], n), "p_WR: .* are no real numbers"),
             (([[0.0, 0], [0.0]], n), "inhomogeneous"),
         ):

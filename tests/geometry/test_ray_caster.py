@@ -196,6 +196,11 @@ class TestBundles(unittest.TestCase):
             (dict(excluded=[[], []]), "excluded: 2 collections for 1"),
             (dict(X_FS=[np.eye(3, 4) + 0j]), "X_FS: complex128"),
             (dict(fan_S=[[1j, 0, 0]]), "fan_S: complex128"),
+            (
+                dict(X_FS=np.ma.masked_array([np.eye(3, 4)])),
+                "X_FS: a masked array",
+            ),
+            (dict(fan_S=[np.ma.masked_array([1.0, 0, 0])]), "fan_S: a masked"),
             (dict(max_range="far"), "max_range: .* no real number"),
             (dict(frame_id=FrameId.get_new_id()), "frame_id: .* had no <Fra"),
         ):
@@ -422,6 +427,69 @@ class TestRayCaster(unittest.TestCase):
             )
         with self.assertRaisesRegex(ValueError, "role: kUnassigned"):
             mut.RayCaster(scene.inspector, role=Role.kUnassigned)
+
+    def test_excluded_must_be_geometry_ids(self):
+        """The index that a cast returns would exclude nothing."""
+        scene = oracle.Scene()
+        seen = scene.add(Sphere(0.1))
+        frame = scene.add_frame()
+        dut = mut.RayCaster(scene.inspector)
+        ray = scene.query_object(), [[-1.0, 0, 0]], [[1.0, 0, 0]]
+        _, index = dut.cast(*ray)
+        bundle = dict(
+            frame_id=dut.world_frame_id,
+            X_FS=[RigidTransform()],
+            fan_S=[[1.0, 0, 0]],
+            max_range=1.0,
+        )
+        for bad, message in (
+            ([0], "has 0, a int.*get_geometry_ids"),
+            (index, "has .*0.*, a int64.*get_geometry_ids"),
+            ("abc", "has 'a', a str"),
+            ([frame], "has .*, a FrameId"),
+            ([seen, None], "has None"),
+            ([[seen]], "has .*, a list"),
+            (np.zeros((2, 3)), "has .*, a ndarray"),
+            (seen, "<GeometryId.* is not a collection of GeometryIds"),
+            (0, "0 is not a collection"),
+            (None, "None is not a collection"),
+        ):
+            with self.subTest(bad=bad):
+                with self.assertRaisesRegex(
+                    ValueError, f"^excluded: {message}"
+                ) as caught:
+                    dut.cast(*ray, excluded=bad)
+                self.assertEqual(len(str(caught.exception).splitlines()), 1)
+                with self.assertRaisesRegex(
+                    ValueError, rf"^excluded\[0\]: {message}"
+                ):
+                    dut.make_bundles(**bundle, excluded=[bad])
+        with self.assertRaisesRegex(ValueError, "excluded: 0 is not"):
+            dut.make_bundles(**bundle, excluded=0)
+        with self.assertRaisesRegex(ValueError, "geometry_ids: has 0, a int"):
+            mut.RayCaster(scene.inspector, geometry_ids=[0])
+        for good in ([seen], {seen}, dut.get_geometry_ids(index), iter([seen])):
+            self.assertEqual(dut.cast(*ray, excluded=good)[1][0], -1)
+        stranger = GeometryId.get_new_id()
+        self.assertEqual(dut.cast(*ray, excluded=[stranger])[1][0], 0)
+        bundles = dut.make_bundles(**bundle, excluded=[{seen, stranger}])
+        self.assertEqual(bundles.active.tolist(), [[False]])
+
+    def test_lists_of_ids_are_the_callers_own(self):
+        """Who sorts or empties them does not change what is seen."""
+        scene = oracle.Scene()
+        for _ in range(2):
+            scene.add(Sphere(0.1), None, scene.add_frame())
+        dut = mut.RayCaster(scene.inspector)
+        geometry_ids, frame_ids = [*dut.geometry_ids], [*dut.frame_ids]
+        dut.geometry_ids.reverse()
+        dut.frame_ids.clear()
+        self.assertEqual(dut.geometry_ids, geometry_ids)
+        self.assertEqual(dut.frame_ids, frame_ids)
+        self.assertEqual(
+            dut.get_geometry_ids(np.arange(len(geometry_ids))).tolist(),
+            geometry_ids,
+        )
 
     def test_unsupported_shape_is_named(self):
         scene = oracle.Scene()

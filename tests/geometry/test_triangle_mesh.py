@@ -456,7 +456,7 @@ class TestReadMesh(unittest.TestCase):
         ):
             with self.subTest(mode=mode):
                 text, _ = make_gltf(
-                    [(v, indices, mode), (v, [0, 1], 1)],
+                    [(v if indices else v[:3], indices, mode), (v, [0, 1], 1)],
                     [{"mesh": 0, "children": [1]}, {"mesh": 1}],
                     None,
                 )
@@ -513,7 +513,7 @@ class TestReadMesh(unittest.TestCase):
             (Mesh("/nowhere/a.stl"), "'.stl' is not one of .obj, .gltf, .vtk"),
             (make_mesh("v 0 0 0"), "can not be read"),
             (make_mesh("{", ".gltf"), "can not be read"),
-            (make_mesh(good, ".gltf"), "can not be read: 'x'"),
+            (make_mesh(good, ".gltf"), "can not be read: its buffer 'x' is"),
             (make_mesh(dots, ".gltf"), "no triangle"),
             (make_mesh(needs, ".gltf"), "needs the extensions KHR_draco"),
             (make_mesh("[]", ".gltf"), "memory.*not as its format demands"),
@@ -527,6 +527,162 @@ class TestReadMesh(unittest.TestCase):
                 ),
             ):
                 mut.read_mesh(shape, "horn")
+
+    def test_obj_vertex_that_is_no_point(self):
+        """Drake's reader takes 0 for what is no number."""
+        good = ["v 0 0 1", "v\t+1. .5 -2E-1 # far", "v 1 0 0 1 1 1", "f 1 2 3"]
+        for bad in (
+            "v nan 0 0",
+            "v 0 inf 0",
+            "v 0 0 -INF",
+            "v abc 0 0",
+            "v 1,5 0 0",
+            "v 1e400 0 0",
+            "v 1_0 0 0",
+            "v 1 0",
+            "v",
+            " v 0 0 # 0",
+            "v 1 \\",
+        ):
+            text = "\n".join(["# A mesh.", good[0], bad, *good[1:]])
+            message = r"line 3: '.*' is not a vertex of three finite numbers"
+            for kind in (Mesh, Convex):
+                with self.subTest(bad=bad, kind=kind):
+                    scene = oracle.Scene()
+                    scene.add(make_mesh(text, kind=kind), name="horn")
+                    with self.assertRaisesRegex(
+                        UserError,
+                        f"^geometry 'horn': mesh 'memory' .*{message}",
+                    ):
+                        RayCaster(scene.inspector)
+        with tempfile.TemporaryDirectory() as folder:
+            path = Path(folder) / "horn.obj"
+            path.write_text(text)
+            with self.assertRaisesRegex(UserError, rf"horn\.obj' .*{message}"):
+                mut.read_mesh(Mesh(path), "it")
+        for end in ("\n", "\r\n"):
+            mesh = make_mesh(end.join(["# v nan", "vn nan 0 0", *good]))
+            self.check_same(
+                mesh, [[0, 0, 1], [1, 0.5, -0.2], [1, 0, 0]], [[0, 1, 2]]
+            )
+
+    def test_gltf_that_is_broken_is_no_other_surface(self):
+        """Two primitives in one buffer: what is beyond one is the other."""
+        triangle = np.eye(3)
+        text, data = make_gltf(
+            [(triangle, [0, 1, 2], 4), (triangle + 5, [0, 1, 2], 4)],
+            [{"mesh": 0, "children": [1]}, {"mesh": 1}],
+            None,
+        )
+        mut.read_mesh(make_mesh(text, ".gltf"), "it")
+        size = len(data)
+        for where, value, message in (
+            ("nodes/0/rotation", [0, 0, 1, 1], "not a unit quaternion"),
+            ("nodes/0/rotation", [0, 0, 0, 0], "not a unit quaternion"),
+            ("nodes/0/rotation", [0, 0, 0, np.nan], "4 finite numbers"),
+            ("nodes/0/rotation", [0, 0, 1], "rotation: .* not 4 finite"),
+            ("nodes/0/scale", [2], "scale: .* not 3 finite numbers"),
+            ("nodes/0/translation", [2], "translation: .* not 3 finite"),
+            ("nodes/0/matrix", [1] * 16, "matrix: .* is not affine"),
+            ("nodes/0/mesh", -1, "-1 is none of its 2 meshes"),
+            ("nodes/0/mesh", 2, "2 is none of its 2 meshes"),
+            ("nodes/0/children", [-1], "-1 is none of its 2 nodes"),
+            ("scene", -1, "-1 is none of its 1 scenes"),
+            ("accessors/0/bufferView", -2, "-2 is none of its 4 bufferViews"),
+            ("accessors/0/bufferView", 4, "4 is none of its 4 bufferViews"),
+            ("accessors/0/bufferView", True, "True is none of"),
+            ("accessors/0/byteOffset", -12, "byteOffset: -12 is not a whole"),
+            ("accessors/0/byteOffset", 12, "bufferView is too short"),
+            ("accessors/0/count", 4, "bufferView is too short"),
+            ("accessors/0/count", 2.5, "count: 2.5 is not a whole number"),
+            ("accessors/0/componentType", 5125, "VEC3 of 5125, not VEC3 of"),
+            ("accessors/0/type", "SCALAR", "SCALAR of 5126, not VEC3"),
+            ("accessors/1/componentType", 5122, "5122, not SCALAR of 5121 or"),
+            ("accessors/1/count", 2, "2 corners are no whole triangles"),
+            ("bufferViews/0/buffer", -1, "-1 is none of its 1 buffers"),
+            ("bufferViews/0/byteOffset", -1, "byteOffset: -1 is not a whole"),
+            ("bufferViews/0/byteLength", 35, "bufferView is too short"),
+            ("bufferViews/0/byteLength", None, "byteLength: None"),
+            ("bufferViews/0/byteLength", size + 1, "short for its bufferView"),
+            ("bufferViews/0/byteStride", 4, "byteStride: 4 is less than 12 B"),
+            ("buffers/0/byteLength", size + 1, f"short: {size} of {size + 1}"),
+            ("buffers/0/byteLength", 40, "too short for its bufferView"),
+            ("meshes/0/primitives/0/attributes/POSITION", -2, "-2 is none of"),
+            ("meshes/0/primitives/0/indices", -1, "-1 is none of its 4 acc"),
+            ("meshes/0/primitives/0/mode", 7, "unknown mode 7"),
+        ):
+            gltf = json.loads(text)
+            *path, key = where.split("/")
+            entry = gltf
+            for step in path:
+                entry = entry[int(step) if step.isdigit() else step]
+            entry[key] = value
+            with (
+                self.subTest(where=where, value=value),
+                self.assertRaisesRegex(
+                    UserError, f"^geometry 'horn': mesh 'memory' .*{message}"
+                ),
+            ):
+                mut.read_mesh(make_mesh(json.dumps(gltf), ".gltf"), "horn")
+
+    def test_gltf_indices_stay_in_their_primitive(self):
+        triangle = np.eye(3)
+        for indices, mode, message in (
+            ([0, 1, 3], 4, "index 3 is none of a primitive's 3 vertices"),
+            ([0, 1, 2, 5], 5, "index 5 is none"),
+            ([0, 1, 2, 0], 4, "4 corners are no whole triangles"),
+            ([0, 1], 5, "2 corners are no triangle"),
+            ([0, 1], 6, "2 corners are no triangle"),
+        ):
+            text, _ = make_gltf(
+                [(triangle, indices, mode), (triangle + 5, [0, 1, 2], 4)],
+                [{"mesh": 0, "children": [1]}, {"mesh": 1}],
+                None,
+            )
+            with (
+                self.subTest(indices=indices, mode=mode),
+                self.assertRaisesRegex(UserError, f"'memory' .*{message}"),
+            ):
+                mut.read_mesh(make_mesh(text, ".gltf"), "it")
+
+    def test_gltf_rotation_is_a_unit_quaternion_but_for_rounding(self):
+        angle = 0.5 * 0.3
+        rotation = [0, 0, np.sin(angle), np.cos(angle)]
+        surfaces = []
+        for factor in (1.0, 1.0005):
+            nodes = [{"mesh": 0, "rotation": [factor * x for x in rotation]}]
+            text, _ = make_gltf([(self.vertices, [0, 1, 2], 4)], nodes, None)
+            mesh = mut.read_mesh(make_mesh(text, ".gltf"), "it")
+            surfaces.append(mesh.surface.triangles)
+        np.testing.assert_allclose(surfaces[1], surfaces[0], atol=1e-12)
+
+    def test_missing_buffer_is_named_with_its_mesh(self):
+        text, _ = make_gltf([(np.eye(3), [0, 1, 2], 4)], [{"mesh": 0}], "a.bin")
+        gltf = json.loads(text)
+        del gltf["buffers"][0]["uri"]
+        with tempfile.TemporaryDirectory() as folder:
+            path = Path(folder) / "horn.gltf"
+            path.write_text(text)
+            nameless = Path(folder) / "nameless.gltf"
+            nameless.write_text(json.dumps(gltf))
+            memory = InMemoryMesh(
+                mesh_file=MemoryFile(text, ".gltf", "memory"),
+                supporting_files={"a.bin": Path(folder) / "a.bin"},
+            )
+            for shape, message in (
+                (Mesh(path), r"horn\.gltf' can not be read: .*a\.bin"),
+                (Mesh(nameless), r"nameless\.gltf' .*: a buffer has no uri"),
+                (Mesh(memory), r"memory' can not be read: .*a\.bin"),
+            ):
+                scene = oracle.Scene()
+                scene.add(shape, name="horn")
+                with (
+                    self.subTest(message=message),
+                    self.assertRaisesRegex(
+                        UserError, f"^geometry 'horn': mesh '.*{message}"
+                    ),
+                ):
+                    RayCaster(scene.inspector)
 
 
 class TestMakeTriangleMesh(unittest.TestCase):

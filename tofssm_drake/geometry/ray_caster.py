@@ -5,9 +5,10 @@ Drake's QueryObject answers distance queries, but has no ray cast
 along lines: range finders, lidars, visibility.
 """
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterable, Sequence
 import copy
 import dataclasses as dc
+import reprlib
 
 import numpy as np
 from pydrake.geometry import (
@@ -31,7 +32,11 @@ from pydrake.math import RigidTransform
 from tofssm_drake.errors import UserError
 from tofssm_drake.geometry import ray_kernels, shape_kernels
 from tofssm_drake.geometry.ball_tree import make_ball_tree
-from tofssm_drake.geometry.triangle_mesh import describe_mesh_source, read_mesh
+from tofssm_drake.geometry.triangle_mesh import (
+    check_hull_source,
+    describe_mesh_source,
+    read_mesh,
+)
 from tofssm_drake.geometry.triangle_tree import TriangleTree
 
 _UNIT_TOLERANCE = 1e-6
@@ -120,7 +125,7 @@ class RayCaster:
             UserError: If a geometry's shape can not be cast, or has a size or
                 place of 1e100 m or more; names it.
             ValueError: If the role is none, or a geometry of `geometry_ids`
-                has not the role or is unknown.
+                has not the role, is unknown or no GeometryId.
         """
         if role == Role.kUnassigned:
             raise ValueError(
@@ -133,7 +138,7 @@ class RayCaster:
         if geometry_ids is None:
             self._geometry_ids = with_role
         else:
-            wanted = set(geometry_ids)
+            wanted = set(_check_geometry_ids("geometry_ids", geometry_ids))
             self._geometry_ids = [g for g in with_role if g in wanted]
             for stranger in wanted.difference(with_role):
                 raise ValueError(
@@ -195,17 +200,21 @@ class RayCaster:
 
     @property
     def geometry_ids(self) -> list[GeometryId]:
-        """The geometries that are seen; indices in results point here."""
-        return self._geometry_ids
+        """The geometries that are seen; indices in results point here.
+
+        A new list each time.
+        """
+        return list(self._geometry_ids)
 
     @property
     def frame_ids(self) -> list[FrameId]:
         """The frames whose poses a query needs, in this order.
 
         Those of the geometries, the world frame included where it is used,
-        then those that `make_bundles` has added. See also `FramePoses`.
+        then those that `make_bundles` has added. A new list each time. See
+        also `FramePoses`.
         """
-        return self._frame_ids
+        return list(self._frame_ids)
 
     @property
     def world_frame_id(self) -> FrameId:
@@ -311,8 +320,9 @@ class RayCaster:
 
         Raises:
             ValueError: If shapes of arrays do not fit, if a direction is not
-                a unit vector, if a number is NaN, or if the SceneGraph had no
-                such frame when the caster was made.
+                a unit vector, if a number is NaN, if the SceneGraph had no
+                such frame when the caster was made, or if `excluded` holds
+                anything but GeometryIds.
         """
         X_FS = _copy_numbers(
             "X_FS",
@@ -346,15 +356,18 @@ class RayCaster:
             )
         active = np.ones((m, len(self._geometry_ids)), dtype=bool)
         if excluded is not None:
+            if not isinstance(excluded, Iterable):
+                raise ValueError(
+                    f"excluded: {_show(excluded)} is not a collection of"
+                    " GeometryIds for each bundle"
+                )
+            excluded = list(excluded)
             if len(excluded) != m:
                 raise ValueError(
                     f"excluded: {len(excluded)} collections for {m} bundles"
                 )
-            for row, unseen in zip(active, excluded, strict=True):
-                for geometry_id in unseen:
-                    index = self._geometry_row.get(geometry_id)
-                    if index is not None:
-                        row[index] = False
+            for i, unseen in enumerate(excluded):
+                active[i, self._find_rows(f"excluded[{i}]", unseen)] = False
         frame_index = np.array(
             [self._find_frame(f) for f in frame_ids], dtype=np.int64
         )
@@ -449,7 +462,8 @@ class RayCaster:
             p_WR: Origins of the n rays, shape (n, 3), m.
             n_WR: Their directions, unit vectors, shape (n, 3).
             max_range: Length of the rays, m.
-            excluded: Geometries that none of them sees.
+            excluded: Geometries that none of them sees; see also
+                `get_geometry_ids`.
 
         Returns:
             (distance, geometry_index): as `cast_bundles`, shape (n,).
@@ -457,7 +471,8 @@ class RayCaster:
         Raises:
             ValueError: If shapes of arrays do not fit, if a direction is not
                 a unit vector, if a pose is none, if a number is not finite,
-                or if an origin is 1e100 m or more away.
+                if an origin is 1e100 m or more away, or if `excluded` holds
+                anything but GeometryIds.
             RuntimeError: See `poses_from_query_object`.
         """
         if isinstance(poses, QueryObject):
@@ -472,10 +487,7 @@ class RayCaster:
         if not max_range >= 0.0:
             raise ValueError(f"max_range: {max_range} is not >= 0")
         active = np.ones(len(self._geometry_ids), dtype=bool)
-        for geometry_id in excluded:
-            index = self._geometry_row.get(geometry_id)
-            if index is not None:
-                active[index] = False
+        active[self._find_rows("excluded", excluded)] = False
         status, distance, index = ray_kernels.cast_rays(
             X_WF,
             self._scene,
@@ -650,6 +662,15 @@ class RayCaster:
                 self._posed_frame_ids.append(frame_id)
         return row
 
+    def _find_rows(self, where: str, geometry_ids) -> list[int]:
+        """Returns the rows of those geometries that this caster has."""
+        rows = self._geometry_row
+        return [
+            rows[g]
+            for g in _check_geometry_ids(where, geometry_ids)
+            if g in rows
+        ]
+
     def _check_bundles(self, bundles: RayBundles) -> None:
         if bundles._caster is not self:
             raise ValueError("bundles: made by another RayCaster")
@@ -688,12 +709,47 @@ def _as_packed(where: str, array) -> np.ndarray:
 
 def _copy_numbers(where: str, array) -> np.ndarray:
     """Returns a copy, real numbers, unless they are none."""
-    if isinstance(array, np.ma.MaskedArray):
+    if _has_masked_array(array):
         raise ValueError(f"{where}: a masked array, which hides numbers")
     array = np.asarray(array)
     if array.dtype.kind not in "iuf":
         raise ValueError(f"{where}: {array.dtype} are no real numbers")
     return np.array(array, dtype=float, order="C")
+
+
+def _has_masked_array(array) -> bool:
+    """Returns whether it is a masked array, or a list with one in it."""
+    if isinstance(array, np.ma.MaskedArray):
+        return True
+    if not isinstance(array, Sequence) or isinstance(array, str | bytes):
+        return False
+    # Few kinds are in many rows: numbers are not looked at one by one.
+    kinds = set(map(type, array))
+    if kinds <= {float, int, np.ndarray}:
+        return False
+    return any(map(_has_masked_array, array))
+
+
+def _check_geometry_ids(where: str, geometry_ids) -> list[GeometryId]:
+    """Returns a list of them, unless anything else is among them."""
+    if not isinstance(geometry_ids, Iterable):
+        raise ValueError(
+            f"{where}: {_show(geometry_ids)} is not a collection of GeometryIds"
+        )
+    geometry_ids = list(geometry_ids)
+    for stranger in geometry_ids:
+        if not isinstance(stranger, GeometryId):
+            raise ValueError(
+                f"{where}: has {_show(stranger)}, a {type(stranger).__name__},"
+                " which is no GeometryId; get_geometry_ids tells those of the"
+                " indices that a cast returns"
+            )
+    return geometry_ids
+
+
+def _show(thing) -> str:
+    """Returns what it is in short, in one line."""
+    return " ".join(reprlib.repr(thing).split())
 
 
 def _name_geometry(inspector: SceneGraphInspector, geometry_id) -> str:
@@ -881,6 +937,7 @@ class _Pool:
         return root
 
     def _add_convex(self, shape: Convex, name: str):
+        check_hull_source(shape, name)
         try:
             hull = shape.GetConvexHull()
         except RuntimeError as error:
