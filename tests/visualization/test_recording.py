@@ -1,5 +1,6 @@
 import functools
 import json
+import math
 from pathlib import Path
 import re
 import tempfile
@@ -68,6 +69,46 @@ class TestOverlay(unittest.TestCase):
         self.assertLess(page.index("var viewer"), page.index('id="tofssm"'))
         for word in ("clear", "hit", "masked", "fault", "STOP", "NORMAL"):
             self.assertIn(word, page)
+
+    def test_a_link_opens_at_the_frame_that_shows_its_event(self):
+        """Runs the page's own arithmetic of frames."""
+        page = mut.add_overlay(PAGE, samples=_make_samples(), fps=16.0)
+        lines = [
+            line.strip()
+            for line in page.splitlines()
+            if line.strip().startswith(("const fps", "const frame"))
+        ]
+        found = dict(re.findall(r"const (\w+) = (.*);", "\n".join(lines)))
+        self.assertEqual(float(found["fps"]), 16.0)
+        python = {
+            name: re.sub(r"^\(t\) => ", "", code).replace("Math", "math")
+            for name, code in found.items()
+            if name.startswith("frame")
+        }
+        for t, before, after in (
+            (31.752, 31.75, 31.8125),
+            (31.75, 31.75, 31.75),
+            (0.0, 0.0, 0.0),
+            (4.008, 4.0, 4.0625),
+        ):
+            for name, expected in (("frameAt", before), ("frameFrom", after)):
+                with self.subTest(name=name, t=t):
+                    value = eval(
+                        python[name], {"math": math, "t": t, "fps": 16.0}
+                    )
+                    self.assertAlmostEqual(value, expected, delta=0.002)
+                    self.assertGreaterEqual(value, expected)
+        self.assertIn("seek(frameFrom(parseFloat(match[1])))", page)
+        # The badge tells what the sign shows, which changes at frames.
+        self.assertIn("const frame = frameAt(t);", page)
+        self.assertIn("find((s) => frame < s[1])", page)
+
+    def test_meshcats_controls_are_not_over_the_title_on_a_phone(self):
+        page = mut.add_overlay(PAGE, title="x")
+        narrow = page.partition("@media (max-width: 640px)")[2]
+        self.assertIn(
+            ".dg.main { display: none !important; }", narrow.splitlines()[0]
+        )
 
     def test_without_samples(self):
         page = mut.add_overlay(PAGE, title="x")

@@ -49,7 +49,8 @@ def write_recording(
     """Ends the recording and writes it as one HTML file.
 
     The page has a legend, and below a strip of the robot's states in which
-    one can click; `recording.html#t=12.5` opens at 12.5 s.
+    one can click; `recording.html#t=12.5` opens at 12.5 s, or at the first
+    frame after it.
 
     Args:
         meshcat: Where the run was drawn.
@@ -69,7 +70,11 @@ def write_recording(
 
 
 def add_overlay(
-    page: str, *, samples: Samples | None = None, title: str = ""
+    page: str,
+    *,
+    samples: Samples | None = None,
+    title: str = "",
+    fps: float = FPS,
 ) -> str:
     """Returns Meshcat's static page with legend and time strip.
 
@@ -77,6 +82,7 @@ def add_overlay(
         page: From `Meshcat.StaticHtml`.
         samples: See `write_recording`.
         title: See `write_recording`.
+        fps: Frames per second of the recording.
     """
     environment = jinja2.Environment(
         autoescape=True,
@@ -98,6 +104,7 @@ def add_overlay(
         state=[palette.to_hex(palette.STATE[s]) for s in RobotState],
         word=[palette.STATE_WORD[s] for s in RobotState],
         run=make_run_data(samples),
+        fps=fps,
         has_beams=samples is None
         or samples.metadata.get("sensing", "tof") == "tof",
     )
