@@ -4,6 +4,7 @@ import math
 from pathlib import Path
 import re
 import tempfile
+import types
 import unittest
 
 import numpy as np
@@ -85,23 +86,28 @@ class TestOverlay(unittest.TestCase):
             for name, code in found.items()
             if name.startswith("frame")
         }
-        for t, before, after in (
-            (31.752, 31.75, 31.8125),
-            (31.75, 31.75, 31.75),
-            (0.0, 0.0, 0.0),
-            (4.008, 4.0, 4.0625),
+        scope = {"math": math, "fps": 16.0}
+        scope["run"] = types.SimpleNamespace(tick=0.008)
+        for name, code in python.items():
+            scope[name] = eval(f"lambda t: {code}", scope)
+        for t, at, row, following in (
+            (31.752, 31.75, 31.752, 31.8125),
+            (31.75, 31.75, 31.752, 31.75),
+            # Recorded at 1.32: the state since the tick at 1.312.
+            (1.32, 1.3125, 1.32, 1.375),
+            (0.0, 0.0, 0.0, 0.0),
+            # A tick and a frame at once.
+            (4.008, 4.0, 4.0, 4.0625),
         ):
-            for name, expected in (("frameAt", before), ("frameFrom", after)):
-                with self.subTest(name=name, t=t):
-                    value = eval(
-                        python[name], {"math": math, "t": t, "fps": 16.0}
-                    )
-                    self.assertAlmostEqual(value, expected, delta=0.002)
-                    self.assertGreaterEqual(value, expected)
+            with self.subTest(t=t):
+                self.assertEqual(scope["frameAt"](t), at)
+                self.assertAlmostEqual(scope["frameRow"](t), row)
+                start = scope["frameFrom"](t)
+                self.assertAlmostEqual(start, following, delta=0.002)
+                self.assertEqual(scope["frameAt"](start), following)
         self.assertIn("seek(frameFrom(parseFloat(match[1])))", page)
-        # The badge tells what the sign shows, which changes at frames.
-        self.assertIn("const frame = frameAt(t);", page)
-        self.assertIn("find((s) => frame < s[1])", page)
+        self.assertIn("const row = frameRow(t) + run.tick / 4;", page)
+        self.assertIn("find((s) => row < s[1])", page)
 
     def test_meshcats_controls_are_not_over_the_title_on_a_phone(self):
         page = mut.add_overlay(PAGE, title="x")

@@ -122,8 +122,8 @@ def make_run_data(samples: Samples | None) -> dict | None:
         samples: The run; None gives None.
 
     Returns:
-        `end`, s; `spans`, [start, end, state]; `step`, s, between the
-        elements of `speed` (tool, m/s) and `distance` (true, m; None:
+        `end`, s; `tick`, s; `spans`, [start, end, state]; `step`, s, between
+        the elements of `speed` (tool, m/s) and `distance` (true, m; None:
         nobody).
     """
     if samples is None or len(samples) < 2:
@@ -133,6 +133,7 @@ def make_run_data(samples: Samples | None) -> dict | None:
     distance = np.maximum(samples["true_distance"][::stride], 0.0)
     return {
         "end": float(t[-1]),
+        "tick": float(t[1] - t[0]),
         "spans": [
             [round(a, 3), round(b, 3), state]
             for a, b, state in find_spans(t, samples["robot_state"])
