@@ -19,6 +19,7 @@ from tofssm_drake.human.walk import GeneratedWalk
 from tofssm_drake.messages import RINGS
 from tofssm_drake.robot.program import ProgramConfig
 from tofssm_drake.robot.sim_ur10 import SimUr10Config
+from tofssm_drake.robot.twin import require_ring_model
 from tofssm_drake.sensing.ideal_separation import IdealSeparationConfig
 from tofssm_drake.sensing.lidar_2d import Lidar2dConfig
 from tofssm_drake.sensing.lidar_separation import LIDAR, LidarSeparationConfig
@@ -135,6 +136,7 @@ class Scenario:
             f"{at}control_period: {self.control_period} must be from 0.001 "
             "to 0.1 s",
         )
+        require_ring_model(self.sensors_per_ring, f"{at}sensors_per_ring")
         require(
             len(self.ring_phases) == 3
             and all(0.0 <= phase < 10.0 for phase in self.ring_phases),

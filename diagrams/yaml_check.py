@@ -9,6 +9,7 @@ import collections.abc
 import dataclasses as dc
 import difflib
 import math
+import re
 import types
 import typing
 
@@ -22,7 +23,7 @@ _SCALARS = {
     int: ("int",),
     # YAML 1.1 takes 1e-3 for text, Drake's loader does not.
     float: ("float", "int", "str"),
-    str: ("str", "float", "int", "bool", "timestamp"),
+    str: ("str",),
 }
 _WORDS = {
     bool: "true or false",
@@ -30,6 +31,11 @@ _WORDS = {
     float: "a finite number",
     str: "text",
 }
+
+# YAML 1.1 reads 010 as 8, 1:30 as 90 and 0x10 as 16.
+_DECIMAL = re.compile(r"[-+]?(0|[1-9][0-9]*|[0-9]*\.[0-9]*|[0-9.]+[eE].*)")
+
+_MERGE = "tag:yaml.org,2002:merge"
 
 
 def parse_yaml(text: str, source: str) -> yaml.MappingNode:
@@ -42,7 +48,8 @@ def parse_yaml(text: str, source: str) -> yaml.MappingNode:
         source: what to call it in an error: a file name or an option.
 
     Raises:
-        UserError: it is not YAML, or not a mapping.
+        UserError: it is not YAML, or not a mapping, or a key is no word or
+            occurs twice.
     """
     try:
         node = yaml.compose(text, Loader=yaml.SafeLoader)
@@ -61,8 +68,52 @@ def parse_yaml(text: str, source: str) -> yaml.MappingNode:
             f"{source}:{node.start_mark.line + 1}: must be a mapping of keys "
             f"to values"
         )
+    _check_keys(node, source, [], {})
     _tag_kinds(node, set())
     return node
+
+
+def _check_keys(node, source, above, done):
+    """Raises UserError unless every key is a word and occurs once.
+
+    Args:
+        node: With all below it.
+        source: What to call the document.
+        above: The nodes it is in; an alias may lead back to one of them.
+        done: Nodes by identity that are right; each is checked once, however
+            many aliases lead to it. Written.
+    """
+
+    def fail(place, problem):
+        raise UserError(f"{source}:{place.start_mark.line + 1}: {problem}")
+
+    if isinstance(node, yaml.ScalarNode) or id(node) in done:
+        return
+    if any(node is other for other in above):
+        fail(node, "must not contain itself")
+    above = [*above, node]
+    first = {}
+    if isinstance(node, yaml.SequenceNode):
+        for child in node.value:
+            _check_keys(child, source, above, done)
+        done[id(node)] = node
+        return
+    for key, child in node.value:
+        if not isinstance(key, yaml.ScalarNode):
+            fail(key, "a key must be a word, not a mapping or list")
+        if key.value in first:
+            fail(
+                key,
+                f"{key.value}: is there twice, first in line "
+                f"{first[key.value]}; leave one",
+            )
+        first[key.value] = key.start_mark.line + 1
+        if key.tag == _MERGE:
+            parts = child.value if child.id == "sequence" else [child]
+            if any(part.id != "mapping" for part in parts):
+                fail(child, f"{key.value}: must name mappings to merge")
+        _check_keys(child, source, above, done)
+    done[id(node)] = node
 
 
 def _tag_kinds(node, seen):
@@ -88,7 +139,7 @@ def get_children(node: yaml.MappingNode) -> dict[str, yaml.Node]:
     """Returns a mapping's values by key, merges (`<<`) resolved."""
     own, merged = {}, {}
     for key, value in node.value:
-        if key.tag == "tag:yaml.org,2002:merge":
+        if key.tag == _MERGE:
             parts = (
                 value.value if isinstance(value, yaml.SequenceNode) else [value]
             )
@@ -174,7 +225,18 @@ def check_yaml(
                 if isinstance(node, yaml.ScalarNode)
                 else "a mapping or list"
             )
-            fail(f"must be {_WORDS[schema]}, not {value}")
+            quoted = (
+                "; write it in quotes"
+                if schema is str and isinstance(node, yaml.ScalarNode)
+                else ""
+            )
+            fail(f"must be {_WORDS[schema]}, not {value}{quoted}")
+        if schema in (int, float) and not _DECIMAL.fullmatch(node.value):
+            fail(
+                f"must be {_WORDS[schema]} in plain decimals, not "
+                f"{node.value!r}, which YAML takes for "
+                f"{yaml.safe_load(node.value)}"
+            )
 
 
 def _is_number(node, kind):

@@ -78,6 +78,7 @@ def experiments(
     human_motions: Annotated[
         Path | None,
         typer.Option(
+            parser=options.parse_path,
             help="Folder of BVH recordings; the trials take turns with "
             "their gaits. Default: generated walks.",
             metavar="DIR",
@@ -105,6 +106,7 @@ def experiments(
     out: Annotated[
         Path,
         typer.Option(
+            parser=options.parse_path,
             help="Folder for the results; runs that are finished in it are "
             "not repeated.",
             metavar="DIR",

@@ -79,6 +79,7 @@ def hardware(
     human_motion: Annotated[
         Path | None,
         typer.Option(
+            parser=options.parse_path,
             help="A BVH recording whose gait the person of virtual rings "
             "walks with.",
             metavar="FILE.bvh",
@@ -122,11 +123,19 @@ def hardware(
     ] = False,
     record: Annotated[
         Path | None,
-        typer.Option(help="Record everything.", metavar="FILE.mcap"),
+        typer.Option(
+            parser=options.parse_path,
+            help="Record everything.",
+            metavar="FILE.mcap",
+        ),
     ] = None,
     out: Annotated[
         Path | None,
-        typer.Option(help="Folder for a report at the end.", metavar="DIR"),
+        typer.Option(
+            parser=options.parse_path,
+            help="Folder for a report at the end.",
+            metavar="DIR",
+        ),
     ] = None,
 ) -> int:
     """Slow a real robot down when somebody is near.

@@ -14,6 +14,7 @@ from typing import Annotated
 import typer
 
 from tofssm_drake.errors import UserError, require
+import tofssm_drake.scripts.options as options
 from tofssm_drake.scripts.simulate import catch_stop
 
 _HOST = "127.0.0.1"
@@ -35,7 +36,12 @@ def hardware_demo(
         typer.Option(help="For how long, s; 0: until all is placed."),
     ] = 0.0,
     out: Annotated[
-        Path, typer.Option(help="Folder for the results.", metavar="DIR")
+        Path,
+        typer.Option(
+            parser=options.parse_path,
+            help="Folder for the results.",
+            metavar="DIR",
+        ),
     ] = Path("out/hardware"),
 ) -> int:
     """Run the hardware's program on a simulated robot and simulated rings.

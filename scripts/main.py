@@ -1,19 +1,59 @@
 """The command `tofssm` and how it fails: one line, exit code 2."""
 
+from collections.abc import Iterator
+import contextlib
+import functools
+import os
+import signal
 import sys
-
-import typer
-from typer.exceptions import TyperException
 
 from tofssm_drake.errors import UserError
 
 
-def make_app() -> typer.Typer:
-    """Makes the command with its subcommands.
+@contextlib.contextmanager
+def leave_at_once() -> Iterator[None]:
+    """Lets Ctrl-C end the process with one line and code 130.
+
+    For the time of importing: an exception in the midst of it comes out of
+    a library as an ImportError of its own.
+    """
+
+    def leave(number, frame):
+        os.write(2, b"tofssm: interrupted\n")
+        os._exit(130)
+
+    previous = signal.signal(signal.SIGINT, leave)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, previous)
+
+
+def abort_on_interrupt(command):
+    """Returns a command whose KeyboardInterrupt keeps its message.
+
+    Typer would make an exit code of it and say nothing.
+    """
+    import typer
+
+    @functools.wraps(command)
+    def run_command(*args, **kwargs):
+        try:
+            return command(*args, **kwargs)
+        except KeyboardInterrupt as interrupt:
+            raise typer.Abort(*interrupt.args) from None
+
+    return run_command
+
+
+def make_app():
+    """Makes the command with its subcommands, a `typer.Typer`.
 
     They are imported here and not above: it takes a second, in which Ctrl-C
     has to work as well.
     """
+    import typer
+
     from tofssm_drake.scripts.experiments import experiments
     from tofssm_drake.scripts.hardware import hardware
     from tofssm_drake.scripts.hardware_demo import hardware_demo
@@ -30,13 +70,13 @@ def make_app() -> typer.Typer:
         no_args_is_help=True,
         pretty_exceptions_enable=False,
     )
-    app.command()(simulate)
-    app.command()(experiments)
-    app.command()(hardware)
-    app.command("hardware-demo")(hardware_demo)
-    app.command()(replay)
-    app.command("simulated-rings")(simulated_rings)
-    app.command("simulated-ur")(simulated_ur)
+    app.command()(abort_on_interrupt(simulate))
+    app.command()(abort_on_interrupt(experiments))
+    app.command()(abort_on_interrupt(hardware))
+    app.command("hardware-demo")(abort_on_interrupt(hardware_demo))
+    app.command()(abort_on_interrupt(replay))
+    app.command("simulated-rings")(abort_on_interrupt(simulated_rings))
+    app.command("simulated-ur")(abort_on_interrupt(simulated_ur))
     return app
 
 
@@ -50,6 +90,9 @@ def run(arguments: list[str] | None = None) -> int:
         0: done. 2: a mistake of the user, told in one line on stderr.
         130: interrupted, what was recorded until then is written.
     """
+    import typer
+    from typer.exceptions import TyperException
+
     try:
         command = typer.main.get_command(make_app())
         result = command.main(
@@ -59,14 +102,16 @@ def run(arguments: list[str] | None = None) -> int:
         message = getattr(error, "format_message", error.__str__)()
         print(f"tofssm: {' '.join(message.split())}", file=sys.stderr)
         return 2
-    except (KeyboardInterrupt, typer.Abort):
-        print("tofssm: interrupted", file=sys.stderr)
+    except (KeyboardInterrupt, typer.Abort) as interrupt:
+        print(f"tofssm: {str(interrupt) or 'interrupted'}", file=sys.stderr)
         return 130
     return result or 0
 
 
 def main() -> None:
     """Entry point of the `tofssm` command."""
+    with leave_at_once():
+        make_app()
     sys.exit(run())
 
 

@@ -9,9 +9,21 @@ import typer
 
 from tofssm_drake.errors import UserError
 
+
+def parse_path(text: str) -> Path:
+    """Returns the path; an empty one would pass for the current folder."""
+    if not str(text):
+        raise typer.BadParameter("must not be empty")
+    return Path(text)
+
+
 ScenarioFile = Annotated[
     Path | None,
-    typer.Option(help="YAML file of scenarios; default: those shipped."),
+    typer.Option(
+        parser=parse_path,
+        help="YAML file of scenarios; default: those shipped.",
+        metavar="FILE.yaml",
+    ),
 ]
 ScenarioName = Annotated[str, typer.Option(help="Which scenario of the file.")]
 ScenarioText = Annotated[
@@ -26,6 +38,7 @@ SensorsPerRing = Annotated[int | None, typer.Option(help="8 or 16.")]
 HumanMotion = Annotated[
     Path | None,
     typer.Option(
+        parser=parse_path,
         help="A BVH recording whose gait the person walks with.",
         metavar="FILE.bvh",
     ),

@@ -7,12 +7,16 @@ import typer
 
 from tofssm_drake.diagrams.hardware_replay import replay_record
 from tofssm_drake.hardware.run_record import RunReader
+import tofssm_drake.scripts.options as options
 
 
 def replay(
     file: Annotated[
         Path,
-        typer.Argument(help="What `tofssm hardware --record` wrote."),
+        typer.Argument(
+            parser=options.parse_path,
+            help="What `tofssm hardware --record` wrote.",
+        ),
     ],
 ) -> int:
     """Run the monitor on a record, and compare all that it says.

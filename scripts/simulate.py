@@ -1,5 +1,6 @@
 """`tofssm simulate`: runs a scenario in simulation and writes its results."""
 
+from collections.abc import Iterator
 import contextlib
 import json
 import logging
@@ -81,13 +82,19 @@ def simulate(
     graphviz: Annotated[
         Path | None,
         typer.Option(
+            parser=options.parse_path,
             help="Also draw the Diagram: FILE.dot, or FILE.svg, FILE.png or "
             "FILE.pdf if Graphviz is installed.",
             metavar="FILE",
         ),
     ] = None,
     out: Annotated[
-        Path, typer.Option(help="Folder for the results.", metavar="DIR")
+        Path,
+        typer.Option(
+            parser=options.parse_path,
+            help="Folder for the results.",
+            metavar="DIR",
+        ),
     ] = Path("out"),
 ) -> int:
     """Simulate the cell and write summary, samples, report and recording."""
@@ -116,7 +123,12 @@ def simulate(
         print(f"watch at {display.web_url()}", flush=True)
     if recording:
         start_recording(display, live=meshcat)
-    samples, progress = run(workcell, scenario, live=meshcat)
+    try:
+        samples, progress = run(workcell, scenario, live=meshcat)
+    except KeyboardInterrupt:
+        raise KeyboardInterrupt(
+            "interrupted; nothing of this run was written"
+        ) from None
     title = describe_run(
         scenario_name,
         {
@@ -135,7 +147,10 @@ def simulate(
         "command": shlex.join(["tofssm", *sys.argv[1:]]),
     }
     summary = summarize(scenario, samples, progress)
-    with Console(stderr=True).status("writing the report"):
+    with (
+        tell_what_is_left(out),
+        Console(stderr=True).status("writing the report"),
+    ):
         write_results(
             samples,
             summary,
@@ -149,9 +164,6 @@ def simulate(
                 samples=samples,
                 title=f"tofssm_drake: {title}",
             )
-        else:
-            # One of an earlier run would be taken for this one's.
-            (out / "recording.html").unlink(missing_ok=True)
     tell(summary, out)
     return 130 if summary["interrupted"] else 0
 
@@ -256,6 +268,14 @@ def require_drawable(filename: Path | None) -> None:
         filename.parent.is_dir(),
         f"--graphviz: there is no folder {filename.parent}",
     )
+    require(not filename.is_dir(), f"--graphviz: {filename} is a folder")
+    try:
+        with tempfile.TemporaryFile(dir=filename.parent):
+            pass
+    except OSError as error:
+        raise UserError(
+            f"--graphviz: can not write {filename}: {error.strerror}"
+        ) from None
 
 
 def draw_diagram(diagram: Diagram, filename: Path) -> None:
@@ -379,16 +399,44 @@ def write_results(
 ) -> None:
     """Writes summary, samples and report into a folder, each file whole.
 
+    Those of an earlier run go first, so that no folder holds two runs.
+
     Args:
         samples: The run.
         summary: From `summarize`.
         out: The folder.
         recording: File name of the replay to which the report leads.
     """
+    clear_results(out)
     write_samples(samples, out)
     text = json.dumps(summary, indent=2, allow_nan=False) + "\n"
     write_atomically(out / "summary.json", lambda p: p.write_text(text))
     write_report(samples, summary, out / "report.html", recording=recording)
+
+
+def clear_results(folder: Path) -> None:
+    """Removes what an earlier run left in its folder."""
+    # The report first: it leads to the others.
+    for name in RESULTS:
+        try:
+            (folder / name).unlink(missing_ok=True)
+        except OSError as error:
+            raise UserError(
+                f"--out: can not replace {folder / name}: {error.strerror}"
+            ) from None
+
+
+@contextlib.contextmanager
+def tell_what_is_left(folder: Path) -> Iterator[None]:
+    """Lets Ctrl-C while results are written tell which of them are there."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        left = [name for name in RESULTS if (folder / name).exists()]
+        raise KeyboardInterrupt(
+            "interrupted while the results were written; of this run there "
+            f"is in {folder}: {', '.join(left) or 'nothing'}"
+        ) from None
 
 
 def tell(summary: dict, out: Path) -> None:

@@ -48,6 +48,9 @@ class TestCheckYaml(unittest.TestCase):
             "human: !_Walk {speed: 1.5}",
             "human: !_Nobody {}",
             "{height: 1e-3, limits: {a: 1E5}, matrix: [[1, 2], [3, 4]]}",
+            "{height: -0.5, sensors: +12, center: [.5, 1.]}",
+            "{height: 0, sensors: 0, center: [-1.5e+3, 2.E-3]}",
+            "{name: '3'}",
         ):
             with self.subTest(text=text):
                 _check(text)
@@ -93,6 +96,36 @@ class TestCheckYaml(unittest.TestCase):
             ("a: [", "cell.yaml:1: not YAML"),
             ("\tx: 1", "cell.yaml:1: not YAML"),
             ("a: \x00", "cell.yaml: not YAML"),
+            (
+                "name: a\nheight: 1\nname: b",
+                "cell.yaml:3: name: is there twice, first in line 1",
+            ),
+            (
+                "human: !_Walk\n  speed: 1\n  speed: 2",
+                "cell.yaml:3: speed: is there twice, first in line 2",
+            ),
+            ("{human: {kind: _Walk, kind: _Nobody}}", "kind: is there twice"),
+            ("? [1, 2]\n: 3", "cell.yaml:1: a key must be a word"),
+            ("? {a: 1}\n: 3", "cell.yaml:1: a key must be a word"),
+            ("limits: {? [1] : 3}", "a key must be a word, not a mapping"),
+            ("a: &a {b: *a}", "cell.yaml:1: must not contain itself"),
+            ("a: &a {<<: *a}", "cell.yaml:1: must not contain itself"),
+            ("a: &a [1, *a]", "cell.yaml:1: must not contain itself"),
+            ("<<: 3", "cell.yaml:1: <<: must name mappings to merge"),
+            ("human: {<<: [1]}", "<<: must name mappings to merge"),
+            ("sensors: 010", "plain decimals, not '010', which YAML .* for 8"),
+            ("sensors: -010", "'-010', which YAML takes for -8"),
+            ("sensors: 0x10", "'0x10', which YAML takes for 16"),
+            ("sensors: 0b11", "'0b11', which YAML takes for 3"),
+            ("sensors: 1:30", "'1:30', which YAML takes for 90"),
+            ("height: 010", "height: must be a finite number in plain deci"),
+            ("height: 1:30", "'1:30', which YAML takes for 90"),
+            ("height: 1:30.5", "'1:30.5', which YAML takes for 90.5"),
+            ("center: [1, 1:30]", r"center\[1\]: must be a finite number in"),
+            ("name: 3", "cell.yaml:1: name: must be text, not '3'; write it"),
+            ("name: 1.5", "name: must be text, not '1.5'; write it in quotes"),
+            ("name: no", "name: must be text, not 'no'; write it in quotes"),
+            ("name: 2020-01-01", "name: must be text, not '2020-01-01'"),
         ):
             with self.subTest(text=text):
                 with self.assertRaisesRegex(UserError, message) as context:
@@ -110,6 +143,17 @@ class TestCheckYaml(unittest.TestCase):
                 mut.check_yaml(node, _Cell, "x")
                 cell = yaml_load_typed(schema=_Cell, data=yaml.serialize(node))
                 self.assertEqual(cell.human, _Nobody())
+
+    def test_many_aliases_cost_little(self):
+        lines = ["a0: &a0 [1]"]
+        lines += [f"a{i}: &a{i} [*a{i - 1}, *a{i - 1}]" for i in range(1, 60)]
+        node = mut.parse_yaml("\n".join(lines), "x")
+        self.assertEqual(len(mut.get_children(node)), 60)
+
+    def test_a_merged_key_may_be_set_again(self):
+        text = "{a: &a {speed: 1.0}, human: {<<: *a, speed: 2.0}}"
+        human = mut.get_children(mut.parse_yaml(text, "x"))["human"]
+        self.assertEqual(mut.get_children(human)["speed"].value, "2.0")
 
     def test_merged_keys_are_checked_too(self):
         text = "base: &base {sped: 1}\nhuman:\n  <<: *base\n"

@@ -167,11 +167,13 @@ class TestReport(unittest.TestCase):
     def test_episodes_and_replay(self):
         run = make_run(6.0)
         run.column["robot_state"] = make_steps(
-            run["t"], (0, 0), (0.04, 2), (1, 1), (2, 0), (3, 2)
+            run["t"], (0, 0), (0.04, 2), (1, 1), (2.504, 0), (3, 2)
         ).astype(np.int8)
-        run["reason"][250] = "tool at 0.40 m"
+        run["reason"][313] = "tool at 0.40 m"
         page, _, text = self._make(run, recording="recording.html")
-        self.assertIn('href="recording.html#t=1.00"', page)
+        self.assertIn('href="recording.html#t=1.000"', page)
+        # A tick of 8 ms: two decimals would open before the event.
+        self.assertIn('href="recording.html#t=2.504"', page)
         self.assertIn("tool at 0.40 m", text)
         self.assertIn("slowed the robot in 1 episode ", text)
 

@@ -77,6 +77,9 @@ class FigureEightTest(unittest.TestCase):
         for name, value in (
             ("centre", [1.0]),
             ("centre", [1.0, math.nan]),
+            ("centre", [1e200, 0.0]),
+            ("centre", [0.0, -100.1]),
+            ("orientation_deg", 1e300),
             ("half_length", -1.0),
             ("half_width", math.nan),
             ("half_width", 0.25),

@@ -70,6 +70,50 @@ class TestConfig(unittest.TestCase):
             with self.assertRaisesRegex(UserError, rf"cell\.{name}: "):
                 config.check("cell")
 
+    def test_limits_without_a_motion_are_an_error(self):
+        slow = r"approach_speed: 0\.8 m/s .* program\.arm_speed; at most"
+        for wrong, message in (
+            ({"arm_speed": 0.5}, slow),
+            ({"arm_speed": 0.1}, slow),
+            ({"approach_speed": 1.6}, r"approach_speed: 1\.6 m/s .* at most"),
+            ({"approach_speed": 3.0}, r"approach_speed: 3 m/s .* at most"),
+            ({"base_jerk": 1e300}, "base_jerk: must be from 0.001"),
+            ({"base_jerk": 1e-300}, "base_jerk: must be from 0.001"),
+            ({"arm_jerk": 1e300}, "arm_jerk: must be from 0.001"),
+            ({"sweep_speed": 1e-9}, "sweep_speed: must be from 0.001"),
+        ):
+            with self.subTest(wrong=wrong):
+                with self.assertRaisesRegex(
+                    UserError, rf"^program\.{message}"
+                ) as context:
+                    mut.make_program_path(
+                        mut.ProgramConfig(**wrong), make_kinematics()
+                    )
+                self.assertNotIn("\n", str(context.exception))
+
+    def test_the_approach_speed_told_as_the_most_is_possible(self):
+        # The slots differ: each refusal names what its own slot permits.
+        speed = 2.0
+        for _ in range(20):
+            try:
+                mut.make_program_path(
+                    mut.ProgramConfig(approach_speed=speed), make_kinematics()
+                )
+                break
+            except UserError as error:
+                slower = float(str(error).rpartition(" ")[2])
+                self.assertLess(slower, speed)
+                speed = slower
+        else:
+            self.fail("never")
+        self.assertGreater(speed, 0.8)
+
+    def test_a_refusal_of_the_planner_is_an_error(self):
+        path = mut._Path(np.zeros(1), *np.full((3, 1), 1.0))
+        for velocity in (2.0, np.nan):
+            with self.assertRaisesRegex(UserError, "no motion within"):
+                path.move(np.ones(1), np.array([velocity]))
+
     def test_unreachable_slot_is_an_error(self):
         config = mut.ProgramConfig(pick_center=[0.0, -1.5, 0.7])
         with self.assertRaisesRegex(UserError, "reach"):

@@ -16,6 +16,7 @@ import tofssm_drake.diagrams.simulation as simulation
 from tofssm_drake.evaluation.samples import read_samples
 from tofssm_drake.messages import RINGS
 import tofssm_drake.scripts.main as mut
+import tofssm_drake.scripts.simulate as simulate
 
 FILES = {"summary.json", "samples.parquet", "scans.parquet", "report.html"}
 
@@ -373,6 +374,66 @@ BAD_INPUT = {
         ("--sensors-per-ring", "9"),
         "--sensors-per-ring: no ring model with 9 sensors; there are 8, 16",
     ),
+    "no_sensors": (
+        ("--sensors-per-ring", "0"),
+        "--sensors-per-ring: no ring model with 0 sensors; there are 8, 16",
+    ),
+    "no_sensors_in_a_file": (
+        _file("Cell:\n  sensors_per_ring: 0\n"),
+        "sensors_per_ring: no ring model with 0 sensors; there are 8, 16",
+    ),
+    "arm_too_slow": (
+        _text("{program: {arm_speed: 0.5}}"),
+        "program.approach_speed: 0.8 m/s over a slot needs 1.275 rad/s",
+    ),
+    "too_much_jerk": (
+        _text("{program: {base_jerk: 1e300}}"),
+        "program.base_jerk: must be from 0.001",
+    ),
+    "person_far_away": (
+        _text("{human: !GeneratedWalk {figure_eight: {centre: [1e200, 0]}}}"),
+        "human.figure_eight.centre: [1e+200, 0.0] should be two numbers",
+    ),
+    "recording_far_away": (
+        _text(
+            "{human: !BvhRecording {placement: in_place, filename: a.bvh, "
+            "position: [1e120, 0]}}"
+        ),
+        "human.position: [1e+120, 0.0] should be two numbers",
+    ),
+    "key_twice": (
+        _text("{ssm: {C_dC: 0.4},\n ssm: {C_dC: 0.9}}"),
+        "--scenario-text:2: ssm: is there twice, first in line 1",
+    ),
+    "name_twice_in_a_file": (
+        _file("Cell: {}\nOther: {}\nCell: {random_seed: 3}\n"),
+        "cell.yaml:3: Cell: is there twice, first in line 1",
+    ),
+    "octal": (_text("{random_seed: 010}"), "which YAML takes for 8"),
+    "list_as_a_key": (_text("{? [1,2] : 3}"), "a key must be a word"),
+    "number_for_text": (
+        _text("{sensing: 3}"),
+        "--scenario-text:1: sensing: must be text, not '3'; write it in",
+    ),
+    "number_for_units": (
+        _text("{human: !BvhRecording {filename: a.bvh, units: 0}}"),
+        "human.units: must be text, not '0'; write it in quotes",
+    ),
+    "empty_out": (("--out", ""), "'--out': must not be empty"),
+    "empty_bvh_name": (
+        ("--human-motion", ""),
+        "'--human-motion': must not be empty",
+    ),
+    "empty_scenario_file": (("--scenario-file", ""), "must not be empty"),
+    "empty_graphviz": (("--graphviz", ""), "must not be empty"),
+    "graphviz_can_not_be_written": (
+        ("--graphviz", "/proc/x.dot"),
+        "--graphviz: can not write /proc/x.dot: No such file",
+    ),
+    "graphviz_is_a_folder": (
+        ("--graphviz", ("x.dot/", None)),
+        "--graphviz: x.dot is a folder",
+    ),
     "unknown_option": (("--sede", "3"), "No such option: --sede"),
     "no_value": (("--seed",), "--seed"),
     "stray_argument": (("Default",), "Default"),
@@ -408,11 +469,16 @@ class TestBadInput:
         for argument in arguments:
             if isinstance(argument, tuple):
                 argument, content = argument
+                if content is None:
+                    Path(argument).mkdir()
+                    command.append(argument)
+                    continue
                 if isinstance(content, str):
                     content = content.encode()
                 Path(argument).write_bytes(content)
             command.append(argument)
         before = list_tree(tmp_path)
+        # The last one counts: a name of the test's own wins.
         code = run("--out", "made/anew", *command)
         check_mistake(code, capfd.readouterr(), message)
         assert list_tree(tmp_path) == before
@@ -474,6 +540,74 @@ class TestInterruption:
         assert samples["t"][-1] == pytest.approx(0.6)
         report = (tmp_path / "report.html").read_text("utf-8")
         assert "interrupted" in report.lower()
+
+    def test_while_results_are_written(self, tmp_path, monkeypatch, capfd):
+        for name in (*FILES, "recording.html"):
+            (tmp_path / name).write_text("of another run")
+        (tmp_path / "notes.txt").write_text("not of a run")
+
+        def interrupt(*args, **kwargs):
+            os.kill(os.getpid(), signal.SIGINT)
+
+        monkeypatch.setattr(simulate, "write_report", interrupt)
+        assert run(*SHORT, "--out", tmp_path) == 130
+        captured = capfd.readouterr()
+        assert captured.out == ""
+        last = captured.err.splitlines()[-1]
+        left = ["samples.parquet", "scans.parquet", "summary.json"]
+        assert last.startswith("tofssm: interrupted while the results were")
+        assert last.endswith(
+            f"{tmp_path}: summary.json, samples.parquet, scans.parquet"
+        )
+        assert list_tree(tmp_path) == ["notes.txt", *left]
+        for name in left:
+            assert (tmp_path / name).read_bytes() != b"of another run"
+
+    def test_a_second_ctrl_c_while_simulating(
+        self, tmp_path, monkeypatch, capfd
+    ):
+        (tmp_path / "report.html").write_text("of another run")
+
+        def interrupt(self):
+            for _ in range(2):
+                os.kill(os.getpid(), signal.SIGINT)
+
+        monkeypatch.setattr(simulation.Run, "advance", interrupt)
+        assert run(*SHORT, "--out", tmp_path) == 130
+        captured = capfd.readouterr()
+        assert captured.out == ""
+        last = captured.err.splitlines()[-1]
+        assert last == "tofssm: interrupted; nothing of this run was written"
+        assert list_tree(tmp_path) == ["report.html"]
+        assert (tmp_path / "report.html").read_text() == "of another run"
+
+    @pytest.mark.parametrize("delay", [0.1, 0.3])
+    def test_ctrl_c_while_starting(self, delay, tmp_path):
+        process = subprocess.Popen(
+            [
+                sys.executable,
+                "-c",
+                "import tofssm_drake.scripts.main as main\n"
+                "print('ready', flush=True)\n"
+                "main.main()\n",
+                *("simulate", "--duration", "80000", "--out", "out"),
+            ],
+            cwd=tmp_path,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+        try:
+            assert process.stdout.readline() == "ready\n"
+            time.sleep(delay)
+            process.send_signal(signal.SIGINT)
+            _, error = process.communicate(timeout=60)
+        finally:
+            process.kill()
+            process.wait()
+        assert process.returncode == 130
+        assert error.splitlines()[-1].startswith("tofssm: interrupted")
+        assert "Traceback" not in error
 
     def test_ctrl_c_and_kill_from_outside(self, tmp_path):
         # A robot that waits for its rings for ever is never done.

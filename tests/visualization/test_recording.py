@@ -1,8 +1,10 @@
 import functools
 import json
+import math
 from pathlib import Path
 import re
 import tempfile
+import types
 import unittest
 
 import numpy as np
@@ -68,6 +70,51 @@ class TestOverlay(unittest.TestCase):
         self.assertLess(page.index("var viewer"), page.index('id="tofssm"'))
         for word in ("clear", "hit", "masked", "fault", "STOP", "NORMAL"):
             self.assertIn(word, page)
+
+    def test_a_link_opens_at_the_frame_that_shows_its_event(self):
+        """Runs the page's own arithmetic of frames."""
+        page = mut.add_overlay(PAGE, samples=_make_samples(), fps=16.0)
+        lines = [
+            line.strip()
+            for line in page.splitlines()
+            if line.strip().startswith(("const fps", "const frame"))
+        ]
+        found = dict(re.findall(r"const (\w+) = (.*);", "\n".join(lines)))
+        self.assertEqual(float(found["fps"]), 16.0)
+        python = {
+            name: re.sub(r"^\(t\) => ", "", code).replace("Math", "math")
+            for name, code in found.items()
+            if name.startswith("frame")
+        }
+        scope = {"math": math, "fps": 16.0}
+        scope["run"] = types.SimpleNamespace(tick=0.008)
+        for name, code in python.items():
+            scope[name] = eval(f"lambda t: {code}", scope)
+        for t, at, row, following in (
+            (31.752, 31.75, 31.752, 31.8125),
+            (31.75, 31.75, 31.752, 31.75),
+            # Recorded at 1.32: the state since the tick at 1.312.
+            (1.32, 1.3125, 1.32, 1.375),
+            (0.0, 0.0, 0.0, 0.0),
+            # A tick and a frame at once.
+            (4.008, 4.0, 4.0, 4.0625),
+        ):
+            with self.subTest(t=t):
+                self.assertEqual(scope["frameAt"](t), at)
+                self.assertAlmostEqual(scope["frameRow"](t), row)
+                start = scope["frameFrom"](t)
+                self.assertAlmostEqual(start, following, delta=0.002)
+                self.assertEqual(scope["frameAt"](start), following)
+        self.assertIn("seek(frameFrom(parseFloat(match[1])))", page)
+        self.assertIn("const row = frameRow(t) + run.tick / 4;", page)
+        self.assertIn("find((s) => row < s[1])", page)
+
+    def test_meshcats_controls_are_not_over_the_title_on_a_phone(self):
+        page = mut.add_overlay(PAGE, title="x")
+        narrow = page.partition("@media (max-width: 640px)")[2]
+        self.assertIn(
+            ".dg.main { display: none !important; }", narrow.splitlines()[0]
+        )
 
     def test_without_samples(self):
         page = mut.add_overlay(PAGE, title="x")

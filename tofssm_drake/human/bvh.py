@@ -12,7 +12,12 @@ import numpy as np
 
 from tofssm_drake.errors import UserError, require
 from tofssm_drake.human.bvh_file import read_bvh
-from tofssm_drake.human.figure_eight import FigureEight, FigureEightPath
+from tofssm_drake.human.figure_eight import (
+    FARTHEST,
+    FigureEight,
+    FigureEightPath,
+    is_position,
+)
 from tofssm_drake.human.motion import HumanMotion, make_motion
 from tofssm_drake.human.performance import (
     UNITS,
@@ -114,14 +119,14 @@ class BvhRecording:
             f"{', '.join(PLACEMENTS)}",
         )
         require(
-            np.shape(self.position) == (2,)
-            and bool(np.isfinite(np.asarray(self.position, float)).all()),
-            f"{where}.position: {self.position} should be two numbers "
-            "[x, y], m",
+            is_position(self.position),
+            f"{where}.position: {self.position} should be two numbers [x, y] "
+            f"from {-FARTHEST:g} to {FARTHEST:g} m",
         )
         require(
-            math.isfinite(self.heading_deg),
-            f"{where}.heading_deg: {self.heading_deg} should be finite",
+            -360.0 <= self.heading_deg <= 360.0,
+            f"{where}.heading_deg: {self.heading_deg} should be from -360 to "
+            "360 deg",
         )
         require(
             0.0 <= self.start_time < math.inf,

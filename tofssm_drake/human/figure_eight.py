@@ -11,6 +11,9 @@ _SAMPLES = 4096
 _SMALLEST_RADIUS = 0.25
 """m; a person can not follow a tighter curve at a walk."""
 
+FARTHEST = 100.0
+"""m from world's origin along x and y; no cell is larger."""
+
 
 @dc.dataclass(kw_only=True)
 class FigureEight:
@@ -46,9 +49,9 @@ class FigureEight:
             where: What the user calls this, for the message.
         """
         require(
-            np.shape(self.centre) == (2,)
-            and bool(np.isfinite(np.asarray(self.centre, float)).all()),
-            f"{where}.centre: {self.centre} should be two numbers [x, y], m",
+            is_position(self.centre),
+            f"{where}.centre: {self.centre} should be two numbers [x, y] from "
+            f"{-FARTHEST:g} to {FARTHEST:g} m",
         )
         for name in ("half_length", "half_width"):
             value = getattr(self, name)
@@ -57,8 +60,9 @@ class FigureEight:
                 f"{where}.{name}: {value} should be from 0.2 to 20 m",
             )
         require(
-            math.isfinite(self.orientation_deg),
-            f"{where}.orientation_deg: {self.orientation_deg} should be finite",
+            -360.0 <= self.orientation_deg <= 360.0,
+            f"{where}.orientation_deg: {self.orientation_deg} should be from "
+            "-360 to 360 deg",
         )
         require(
             0.0 <= self.start <= 1.0,
@@ -72,6 +76,13 @@ class FigureEight:
             f"{radius:.2f} m, should be {_SMALLEST_RADIUS} m or more); a "
             "larger figure, about 0.3 times as wide as long, would be right",
         )
+
+
+def is_position(xy: list[float]) -> bool:
+    """Whether this is a place on the floor for a person, [x, y] in W, m."""
+    return np.shape(xy) == (2,) and bool(
+        np.all(np.abs(np.asarray(xy, float)) <= FARTHEST)
+    )
 
 
 def calc_smallest_radius(config: FigureEight) -> float:

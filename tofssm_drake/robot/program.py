@@ -97,22 +97,24 @@ class ProgramConfig:
             1 <= self.products <= 100,
             f"{where}.products: must be from 1 to 100, got {self.products}",
         )
-        for name in (
-            "hover_radius",
-            "hover_height",
-            "sweep_speed",
-            "base_acceleration",
-            "base_jerk",
-            "arm_speed",
-            "arm_acceleration",
-            "arm_jerk",
-            "approach_speed",
-            "approach_height",
+        # Far wider than any robot: beyond it the planning's arithmetic ends.
+        for name, unit, low, high in (
+            ("hover_radius", "m", 0.01, 10.0),
+            ("hover_height", "m", 0.01, 10.0),
+            ("sweep_speed", "m/s", 0.001, 100.0),
+            ("base_acceleration", "rad/s^2", 0.001, 1e4),
+            ("base_jerk", "rad/s^3", 0.001, 1e6),
+            ("arm_speed", "rad/s", 0.001, 100.0),
+            ("arm_acceleration", "rad/s^2", 0.001, 1e4),
+            ("arm_jerk", "rad/s^3", 0.001, 1e6),
+            ("approach_speed", "m/s", 0.001, 100.0),
+            ("approach_height", "m", 0.001, 10.0),
         ):
+            value = getattr(self, name)
             require(
-                getattr(self, name) > 0,
-                f"{where}.{name}: must be positive, "
-                f"got {getattr(self, name):g}",
+                low <= value <= high,
+                f"{where}.{name}: must be from {low:g} to {high:g} {unit}, "
+                f"got {value:g}",
             )
         require(
             0 <= self.gripper_dwell <= 60,
@@ -345,9 +347,16 @@ class _Path:
         given.max_acceleration = self.limits[1][joints].tolist()
         given.max_jerk = self.limits[2][joints].tolist()
         trajectory = ruckig.Trajectory(len(joints))
-        result = ruckig.Ruckig(len(joints)).calculate(given, trajectory)
+        try:
+            result = ruckig.Ruckig(len(joints)).calculate(given, trajectory)
+        except (ruckig.RuckigError, ValueError):
+            # The latter: it has no name for some of its own results.
+            result = None
         if result not in (ruckig.Result.Working, ruckig.Result.Finished):
-            raise UserError(f"program: no motion within the limits ({result})")
+            raise UserError(
+                "program: no motion within these limits of speed, "
+                "acceleration and jerk; those by default have one"
+            )
         # Every time at which a joint's jerk changes starts a new piece.
         knots = [0.0]
         for profile in trajectory.profiles[0]:
@@ -381,6 +390,27 @@ class _Path:
         self.start.append(self.time)
         self.coefficients.append(piece)
         self.time += duration
+
+
+def _require_approachable(config, rate, limit):
+    """Raises UserError unless every joint is fast enough at a slot.
+
+    Args:
+        config: Of the program.
+        rate: Of the joints per height of the tool, rad/m, (6,).
+        limit: Speed limits of the joints, rad/s, (6,).
+    """
+    needed = np.abs(rate) * config.approach_speed
+    worst = int(np.argmax(needed / limit))
+    if needed[worst] > limit[worst]:
+        name = "sweep_speed" if worst == 0 else "arm_speed"
+        most = limit[worst] / abs(rate[worst])
+        raise UserError(
+            f"program.approach_speed: {config.approach_speed:g} m/s over a "
+            f"slot needs {needed[worst]:.3f} rad/s of joint q_{worst}, "
+            f"more than the {limit[worst]:.3f} rad/s of program.{name}; at "
+            f"most {np.floor(most * 1000) / 1000:g}"
+        )
 
 
 def make_program_path(
@@ -429,6 +459,7 @@ def make_program_path(
             solve(above + step * up, yaw, near)
             - solve(above - step * up, yaw, near)
         ) / (2 * step)
+        _require_approachable(config, rate, speed)
         return (
             solve(slot, yaw, near),
             solve(above, yaw, near),

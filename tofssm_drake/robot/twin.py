@@ -17,7 +17,7 @@ from pydrake.multibody.plant import (
     MultibodyPlant,
 )
 
-from tofssm_drake.errors import UserError
+from tofssm_drake.errors import UserError, require
 from tofssm_drake.kernels import njit
 import tofssm_drake.models as models
 from tofssm_drake.robot.kinematics import (
@@ -34,6 +34,27 @@ from tofssm_drake.robot.products import (
 from tofssm_drake.robot.ring_looks import add_ring_looks
 
 _URL = f"package://{models.PACKAGE}/"
+
+
+def require_ring_model(
+    sensors_per_ring: int, where: str = "sensors_per_ring"
+) -> None:
+    """Raises UserError if there is no ring model for that many sensors.
+
+    Args:
+        sensors_per_ring: How many.
+        where: What the user calls this, for the message.
+    """
+    folder = models.find_package_xml().parent / "rings"
+    shipped = sorted(
+        int(path.name.split(".")[0].removeprefix("rings_"))
+        for path in folder.glob("rings_*.dmd.yaml")
+    )
+    require(
+        sensors_per_ring in shipped,
+        f"{where}: no ring model with {sensors_per_ring} sensors; there are "
+        f"{', '.join(map(str, shipped))}",
+    )
 
 
 def make_cell_plant(
@@ -80,18 +101,10 @@ def make_cell_plant(
             _read_base_pose(),
         )
     if sensors_per_ring:
-        folder = models.find_package_xml().parent / "rings"
-        file = f"rings_{sensors_per_ring}.dmd.yaml"
-        if not (folder / file).exists():
-            shipped = sorted(
-                int(path.name.split(".")[0].removeprefix("rings_"))
-                for path in folder.glob("rings_*.dmd.yaml")
-            )
-            raise UserError(
-                f"sensors_per_ring: no ring model with {sensors_per_ring} "
-                f"sensors; there are {', '.join(map(str, shipped))}"
-            )
-        parser.AddModelsFromUrl(_URL + "rings/" + file)
+        require_ring_model(sensors_per_ring)
+        parser.AddModelsFromUrl(
+            f"{_URL}rings/rings_{sensors_per_ring}.dmd.yaml"
+        )
     for i in range(products):
         (instance,) = parser.AddModelsFromUrl(_URL + "workcell/product.urdf")
         plant.RenameModelInstance(instance, f"product_{i}")

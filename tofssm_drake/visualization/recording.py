@@ -49,7 +49,8 @@ def write_recording(
     """Ends the recording and writes it as one HTML file.
 
     The page has a legend, and below a strip of the robot's states in which
-    one can click; `recording.html#t=12.5` opens at 12.5 s.
+    one can click; `recording.html#t=12.5` opens at 12.5 s, or at the first
+    frame after it.
 
     Args:
         meshcat: Where the run was drawn.
@@ -69,7 +70,11 @@ def write_recording(
 
 
 def add_overlay(
-    page: str, *, samples: Samples | None = None, title: str = ""
+    page: str,
+    *,
+    samples: Samples | None = None,
+    title: str = "",
+    fps: float = FPS,
 ) -> str:
     """Returns Meshcat's static page with legend and time strip.
 
@@ -77,6 +82,7 @@ def add_overlay(
         page: From `Meshcat.StaticHtml`.
         samples: See `write_recording`.
         title: See `write_recording`.
+        fps: Frames per second of the recording.
     """
     environment = jinja2.Environment(
         autoescape=True,
@@ -98,6 +104,7 @@ def add_overlay(
         state=[palette.to_hex(palette.STATE[s]) for s in RobotState],
         word=[palette.STATE_WORD[s] for s in RobotState],
         run=make_run_data(samples),
+        fps=fps,
         has_beams=samples is None
         or samples.metadata.get("sensing", "tof") == "tof",
     )
@@ -115,8 +122,8 @@ def make_run_data(samples: Samples | None) -> dict | None:
         samples: The run; None gives None.
 
     Returns:
-        `end`, s; `spans`, [start, end, state]; `step`, s, between the
-        elements of `speed` (tool, m/s) and `distance` (true, m; None:
+        `end`, s; `tick`, s; `spans`, [start, end, state]; `step`, s, between
+        the elements of `speed` (tool, m/s) and `distance` (true, m; None:
         nobody).
     """
     if samples is None or len(samples) < 2:
@@ -126,6 +133,7 @@ def make_run_data(samples: Samples | None) -> dict | None:
     distance = np.maximum(samples["true_distance"][::stride], 0.0)
     return {
         "end": float(t[-1]),
+        "tick": float(t[1] - t[0]),
         "spans": [
             [round(a, 3), round(b, 3), state]
             for a, b, state in find_spans(t, samples["robot_state"])
