@@ -61,7 +61,7 @@ def run_process(name, text=""):
 
 
 @pytest.mark.parametrize(
-    ("name", "count"), [("Default", 3), ("NoHuman", 1), ("SixteenSensors", 1)]
+    ("name", "count"), [("Default", 5), ("NoHuman", 1), ("SixteenSensors", 1)]
 )
 def test_whole_run(benchmark, name, count):
     """Import, build and run; the figures tell the run apart."""
