@@ -4,6 +4,7 @@ import dataclasses as dc
 import math
 from pathlib import Path
 
+from tofssm_drake.errors import UserError
 from tofssm_drake.evaluation import campaign_figures, figures
 from tofssm_drake.evaluation.campaign import (
     VARIANTS,
@@ -530,6 +531,9 @@ def read_first_runs(folder: Path, plan: Plan) -> dict[Cell, Samples]:
     """Reads what the figures need of one run of each cell without a variant.
 
     The first trial that is there; cells without any are left out.
+
+    Raises:
+        UserError: The samples of a finished run are missing or broken.
     """
     samples = {}
     for run in plan.list_runs():
@@ -538,7 +542,12 @@ def read_first_runs(folder: Path, plan: Plan) -> dict[Cell, Samples]:
             continue
         where = get_run_folder(folder, run)
         if (where / "row.parquet").exists():
-            samples[run.cell] = read_samples(where, _KINDS)
+            try:
+                samples[run.cell] = read_samples(where, _KINDS)
+            except UserError as error:
+                raise UserError(
+                    f"{error}; remove {where} to have the run repeated"
+                ) from None
     return {cell: samples[cell] for cell in plan.cells if cell in samples}
 
 
