@@ -369,21 +369,25 @@ def _conclude_greatest(effect, cause, what, agrees, differs):
         side = yes if cause[top] >= max(cause[c] for c in cells) else no
         side.append(top.label)
     return join(
-        f"So {', '.join(yes)} {what} of its sensing and {agrees}."
-        if yes
-        else "",
-        f"{', '.join(no)} {what} of its sensing, but {differs}." if no else "",
+        _tell(
+            f"So the configuration that {what} with its sensing {agrees}",
+            ", ".join(yes),
+        ),
+        _tell(
+            f"{'But there' if yes else 'So there'} is one that {what} though "
+            f"{differs}",
+            ", ".join(no),
+        ),
     )
 
 
 def explain_speeds(results: Results) -> str:
-    """Tells whether who stops fastest is who slows least before a stop."""
+    """Tells whether who stops from the highest speed had run the longest."""
     cells = make_cells()
-    reductions = _get_means(results, "reduce_events", cells)
+    normal = _get_means(results, "normal_s", cells)
     stops = _get_means(results, "stop_events", cells)
-    unslowed = {
-        c: -reductions[c] / stops[c] for c in reductions if stops.get(c)
-    }
+    stretch = {c: normal[c] / stops[c] for c in normal if stops.get(c)}
+    listed = ", ".join(f"{c.label} {_format(s, 1)}" for c, s in stretch.items())
     return join(
         _tell_means(
             results,
@@ -399,14 +403,15 @@ def explain_speeds(results: Results) -> str:
             digits=1,
         ),
         _tell_means(results, "Changes to stop", "stop_events", cells, digits=1),
+        _tell("Time in the normal state per stop (s)", listed),
         _conclude_greatest(
             _get_means(results, "velocity_change_at_stop_mps", cells),
-            unslowed,
+            stretch,
             "has the largest velocity change",
-            "slows down least often per stop, so its stops come from the "
-            "highest speed",
-            "it does not slow down least often per stop, so that is not what "
-            "makes the change largest",
+            "is in the normal state for longest per stop, so it is more often "
+            "at full speed when it has to stop",
+            "it is not in the normal state for longest per stop, so something "
+            "else makes the change largest",
         ),
     )
 
