@@ -107,19 +107,16 @@ def experiments(
         typer.Option(help="Processes on this machine; default: its cores."),
     ] = None,
     out: Annotated[
-        str,
+        Path,
         typer.Option(
             parser=options.parse_path,
             help="Folder for the results; runs that are finished in it are "
             "not repeated.",
             metavar="DIR",
         ),
-    ] = "out/experiments",
+    ] = Path("out/experiments"),
 ) -> int:
     """Run the paper's experiment and write its tables, figures and report."""
-    # A path of nothing would be the current folder.
-    require(out.strip() != "", "--out: names no folder")
-    folder = Path(out)
     scenario = load_scenario(text=scenario_text)
     scenario.simulation_duration = duration
     require_free(scenario)
@@ -148,22 +145,22 @@ def experiments(
         workers is None or 1 <= workers <= 1000,
         f"--workers: {workers} must be from 1 to 1000",
     )
-    enter_folder(folder, plan)
-    rows = read_rows(folder, plan)
+    enter_folder(out, plan)
+    rows = read_rows(out, plan)
     missing = [r for r in plan.list_runs() if r.key not in rows]
     failures = {}
     try:
         with interrupt_on_sigterm():
             if missing:
                 with connect(
-                    scheduler, workers=workers, scratch=get_scratch(folder)
+                    scheduler, workers=workers, scratch=get_scratch(out)
                 ) as client:
-                    open_folder(folder, plan)
+                    open_folder(out, plan)
                     failures = run_missing(
-                        client, folder, plan, missing, scenario, motions
+                        client, out, plan, missing, scenario, motions
                     )
             report = write_all(
-                folder,
+                out,
                 plan,
                 scenario,
                 failures,

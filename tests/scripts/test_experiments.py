@@ -340,7 +340,7 @@ class TestScheduler:
 # What a user wrote, and what the line on stderr must tell.
 NO_RINGS = ("--sensing", "lidar")
 BAD_INPUT = {
-    "no_folder": (("--out", ""), "--out: names no folder"),
+    "no_folder": (("--out", ""), "must not be empty"),
     "study_twice": (("--study", "all", "--study", "all"), "names one of them"),
     "none_and_more": (("--study", "none", "--study", "late"), "none goes with"),
     "no_cell": (
@@ -481,9 +481,7 @@ class TestStudies:
             (("--study", "none"), []),
         ):
             with pytest.raises(ZeroDivisionError):
-                mut.experiments(
-                    study=list(arguments[1:]) or None, out=str(tmp_path)
-                )
+                mut.experiments(study=list(arguments[1:]) or None, out=tmp_path)
             found = [c.key for c in seen.pop().cells if c.variant]
             assert found == keys
 
