@@ -4,6 +4,8 @@ from collections.abc import Callable, Iterator
 import contextlib
 import logging
 import os
+from pathlib import Path
+import shutil
 
 import dask
 from distributed import Client, LocalCluster, as_completed
@@ -12,7 +14,6 @@ from tofssm_drake.diagrams.run_metadata import get_versions
 from tofssm_drake.errors import UserError
 
 TIMEOUT = 10.0
-"""How long to wait for an answer of a scheduler, s."""
 """How long to wait for an answer of a scheduler, s."""
 _SETTINGS = {
     # A simulation may hold Python's lock for a while: that is no fault.
@@ -24,7 +25,10 @@ _SETTINGS = {
 
 @contextlib.contextmanager
 def connect(
-    scheduler: str | None = None, *, workers: int | None = None
+    scheduler: str | None = None,
+    *,
+    workers: int | None = None,
+    scratch: Path,
 ) -> Iterator[Client]:
     """Connects to a cluster for the time of a `with`.
 
@@ -32,17 +36,22 @@ def connect(
         scheduler: Address of a Dask scheduler, e.g. tcp://10.0.0.1:8786;
             None starts worker processes on this machine, and ends them.
         workers: How many processes then; None: as many as there are cores.
+        scratch: Folder for what these processes need while they run; gone
+            afterwards.
 
     Yields:
         A Dask client.
 
     Raises:
         UserError: Nobody answers there, nobody works there, or the workers
-            have other versions of what results depend on.
+            have other versions of what results depend on, or the folder
+            can not be made.
     """
     with dask.config.set(_SETTINGS):
         if scheduler is None:
             with (
+                _make_scratch(scratch) as folder,
+                dask.config.set(temporary_directory=folder),
                 LocalCluster(
                     n_workers=workers or len(os.sched_getaffinity(0)),
                     threads_per_worker=1,
@@ -51,6 +60,10 @@ def connect(
                     host="127.0.0.1",
                     dashboard_address="127.0.0.1:0",
                     silence_logs=logging.CRITICAL,
+                    # A killed process can not tidy up: whatever it leaves is
+                    # in the folder, and gone with it.
+                    local_directory=folder,
+                    env={"TMPDIR": folder},
                 ) as cluster,
                 Client(cluster) as client,
             ):
@@ -59,6 +72,20 @@ def connect(
         with _connect_to(scheduler) as client:
             _check_workers(client, scheduler)
             yield client
+
+
+@contextlib.contextmanager
+def _make_scratch(path):
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise UserError(
+            f"--out: can not write into {path.parent}: {error.strerror}"
+        ) from None
+    try:
+        yield str(path.resolve())
+    finally:
+        shutil.rmtree(path, ignore_errors=True)
 
 
 def _connect_to(scheduler):

@@ -37,6 +37,8 @@ from tofssm_drake.evaluation.campaign import (
     Plan,
     PlannedRun,
     enter_folder,
+    get_scratch,
+    list_studies,
     make_plan,
     make_results,
     open_folder,
@@ -71,7 +73,8 @@ def experiments(
         list[str] | None,
         typer.Option(
             help="Also run cells with something changed, to see what it "
-            f"does: all, or {', '.join(VARIANTS)}; may be given again.",
+            f"does: all, none, or {', '.join(VARIANTS)}; may be given again. "
+            "Default: literal, if its cells are run.",
             metavar="NAME",
         ),
     ] = None,
@@ -120,12 +123,15 @@ def experiments(
     with options.blame({"simulation_duration": "--duration"}):
         scenario.check()
     motions = read_motions(human_motions, scenario)
+    sensings = sensing or list(SENSINGS)
+    configurations = ssm or list(CONFIGURATIONS)
+    studies = choose_studies(study, list_studies(sensings, configurations))
     plan = make_plan(
         seed=seed,
         trials=trials,
-        sensings=sensing or list(SENSINGS),
-        configurations=ssm or list(CONFIGURATIONS),
-        variants=expand_studies(study or []),
+        sensings=sensings,
+        configurations=configurations,
+        variants=studies,
         scenario=dump_scenario(scenario),
         motions={
             name: hashlib.sha256(content).hexdigest()
@@ -146,12 +152,20 @@ def experiments(
     try:
         with interrupt_on_sigterm():
             if missing:
-                with connect(scheduler, workers=workers) as client:
+                with connect(
+                    scheduler, workers=workers, scratch=get_scratch(out)
+                ) as client:
                     open_folder(out, plan)
                     failures = run_missing(
                         client, out, plan, missing, scenario, motions
                     )
-            report = write_all(out, plan, scenario, failures)
+            report = write_all(
+                out,
+                plan,
+                scenario,
+                failures,
+                command=make_command(sys.argv[1:], study, studies),
+            )
     except KeyboardInterrupt:
         print(
             "tofssm: interrupted; the same command goes on from here",
@@ -176,7 +190,12 @@ def interrupt_on_sigterm() -> Iterator[None]:
 
 
 def write_all(
-    out: Path, plan: Plan, scenario: Scenario, failures: dict[str, str]
+    out: Path,
+    plan: Plan,
+    scenario: Scenario,
+    failures: dict[str, str],
+    *,
+    command: str,
 ) -> Path:
     """Writes the table and the report of the runs that are there.
 
@@ -185,6 +204,7 @@ def write_all(
         plan: The campaign's.
         scenario: What all runs have in common.
         failures: Reason by the label of the run that failed.
+        command: What makes the campaign again.
 
     Returns:
         The report's path.
@@ -197,17 +217,54 @@ def write_all(
             plan=plan,
             rows=results,
             parameters=list_parameters(scenario, plan),
-            command=shlex.join(["tofssm", *sys.argv[1:]]),
+            command=command,
             failures=failures,
         )
 
 
-def expand_studies(names: list[str]) -> list[str]:
-    """Returns the studies, all of them in place of `all`."""
-    others = [name for name in names if name != "all"]
-    if len(others) == len(names):
+def choose_studies(names: list[str] | None, possible: list[str]) -> list[str]:
+    """Returns which studies are run.
+
+    Args:
+        names: As given; None: not at all, which takes the literal law.
+        possible: Those that have a cell in this campaign. Only they are in
+            `all`; what is asked for by its name is not left out.
+
+    Raises:
+        UserError: `none` is not alone, or a name is there twice.
+    """
+    if names is None:
+        return [name for name in possible if name == "literal"]
+    require(
+        "none" not in names or names == ["none"],
+        "--study: none goes with no other study",
+    )
+    if names == ["none"]:
+        return []
+    require(
+        len(set(names)) == len(names),
+        f"--study: {', '.join(names)} names one of them twice",
+    )
+    if "all" not in names:
         return names
-    return [*VARIANTS, *(name for name in others if name not in VARIANTS)]
+    others = [n for n in names if n != "all" and n not in possible]
+    return [*possible, *others]
+
+
+def make_command(
+    arguments: list[str], asked: list[str] | None, studies: list[str]
+) -> str:
+    """Returns the command that makes the campaign again.
+
+    Args:
+        arguments: Of this one.
+        asked: Studies that these name; None: they name none.
+        studies: Those that are run, told in any case.
+    """
+    told = []
+    if asked is None:
+        told = [part for s in studies or ["none"] for part in ("--study", s)]
+    return shlex.join(["tofssm", *arguments, *told])
 
 
 def require_free(scenario: Scenario) -> None:
@@ -345,11 +402,35 @@ def list_parameters(
             "T_red, T_stop, T_R", lambda c: f"{c.T_red}, {c.T_stop}, {c.T_R} s"
         ),
         row("V_lmax", lambda c: f"{c.V_lmax} m/s"),
+        row(
+            "V_hmax (k_max of Vo less V_lmax)",
+            lambda c: f"{round(c.k_omax - c.V_lmax, 9)} m/s",
+        ),
         row("k_max of Vo, of Vr", lambda c: f"{c.k_omax}, {c.k_lmax} m/s"),
+        (
+            "r_o (in C_dC, d_C and d_R as the lidar's rule has it)",
+            {
+                s: f"{scenario.lidar_separation.workspace_radius} m"
+                if s == "lidar"
+                else "\u2013"
+                for s in laws
+            },
+        ),
         row("C_dC", lambda c: f"{c.C_dC} m"),
         row("B_min", lambda c: f"{c.B_min} m"),
         row("d_C, d_R of SM", lambda c: f"{c.d_C_sm}, {c.d_R_sm} m"),
         row("alpha_I, alpha_D", lambda c: f"{c.alpha_I}, {c.alpha_D}"),
+        row(
+            "speed fraction \u03c1: normal, reduced, stop",
+            lambda c: f"1, {c.rho_reduced}, 0",
+        ),
+        row(
+            "\u03c1's greatest rate and acceleration",
+            lambda c: (
+                f"{c.rho_max_rate:.3g} 1/s, "
+                f"{c.rho_max_acceleration:.3g} 1/s\u00b2"
+            ),
+        ),
     ]
 
 

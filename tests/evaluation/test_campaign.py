@@ -82,7 +82,7 @@ class TestPlan(unittest.TestCase):
         self.assertIn(str(run.trial.seed), run.label)
 
     def test_variants_are_run_where_they_belong(self):
-        plan = make_plan(variants=["literal", "subtracted", "late"])
+        plan = make_plan(variants=["literal", "subtracted"])
         keys = [cell.key for cell in plan.cells]
         self.assertEqual(
             keys,
@@ -106,6 +106,7 @@ class TestPlan(unittest.TestCase):
             ({"configurations": ["vx"]}, "--ssm: 'vx' is unknown"),
             ({"variants": ["odd"]}, "--study: 'odd' is unknown"),
             ({"sensings": ["tof", "tof"]}, "--sensing: tof, tof names one"),
+            ({"variants": ["late"]}, "--study: late needs one of the sensings"),
             ({"trials": 0}, "--trials: 0 must be from 1"),
             ({"seed": -1}, "--seed: -1 must be from 0"),
         ):

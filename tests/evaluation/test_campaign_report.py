@@ -1,17 +1,22 @@
 """Figures and report of a made-up campaign."""
 
+import dataclasses as dc
 from html.parser import HTMLParser
 import math
 from pathlib import Path
 import re
 import tempfile
 import unittest
+import warnings
 
+from matplotlib.colors import to_rgb
+import numpy as np
 from synthetic_campaign import make_rows, make_small_plan, make_values
 from synthetic_run import make_rich_run
 
 from tofssm_drake.evaluation import campaign_figures, figures
 from tofssm_drake.evaluation.campaign import (
+    VARIANTS,
     Cell,
     PlannedRun,
     get_run_folder,
@@ -19,8 +24,14 @@ from tofssm_drake.evaluation.campaign import (
     make_results,
 )
 import tofssm_drake.evaluation.campaign_report as mut
-from tofssm_drake.evaluation.claims import check_claims
-from tofssm_drake.evaluation.page import Picture
+from tofssm_drake.evaluation.claims import (
+    NOT_REPRODUCED,
+    REPRODUCED,
+    UNDECIDED,
+    Claim,
+    check_claims,
+)
+from tofssm_drake.evaluation.page import Picture, write_symbols
 from tofssm_drake.evaluation.results import Results
 from tofssm_drake.evaluation.samples import write_samples
 
@@ -65,7 +76,9 @@ class _Campaign:
         def change(cell, trial):
             i = self.plan.cells.index(cell)
             return {
-                "productivity": 0.3 + 0.05 * i + 0.01 * trial,
+                "productivity": 0.3
+                + (0.05 + 0.0001 * trial) * i
+                + 0.01 * trial,
                 "safety_mean_m2_per_mps": 5.0 - 0.2 * i,
                 "task_time_s": 100.0 + trial,
                 "shortfall_walking_in_p05_m": 0.1,
@@ -137,6 +150,53 @@ class TestFigures(unittest.TestCase):
         self.assertAlmostEqual(marks[0][1], 100 * (0.3 + 0.015))
         self.assertIn("%", ax.get_ylabel())
         self.assertIn("m²/(m/s)", ax.get_xlabel())
+
+    def test_legend_has_a_row_for_sensings_and_one_for_configurations(self):
+        for narrow in (False, True):
+            figure = campaign_figures.make_productivity_figure(
+                self.campaign.results, narrow=narrow
+            )
+            figure.draw_without_rendering()
+            at = {}
+            for text in figure.axes[0].get_legend().get_texts():
+                box = text.get_window_extent()
+                if text.get_text().strip():
+                    place = box.x0 if narrow else box.y0
+                    at[text.get_text()] = round(place)
+            names = list(campaign_figures.CONFIGURATION_NAME.values())
+            one = {at.pop(name) for name in names}
+            self.assertEqual(len(at), 4)
+            if narrow:
+                self.assertEqual(len(one), 1)
+                self.assertEqual(len(set(at.values())), 1)
+            else:
+                # Letters differ a little in height.
+                lowest = min(one)
+                self.assertTrue(all(y < lowest - 5 for y in at.values()))
+
+    def test_letters_are_dark_enough(self):
+        """Contrast of at least 4.5 on white (WCAG 2.1, AA)."""
+        for colour in campaign_figures.SENSING_TEXT.values():
+            c = np.array(to_rgb(colour))
+            linear = np.where(
+                c <= 0.03928, c / 12.92, ((c + 0.055) / 1.055) ** 2.4
+            )
+            luminance = linear @ [0.2126, 0.7152, 0.0722]
+            self.assertGreater(1.05 / (luminance + 0.05), 4.5)
+
+    def test_a_run_of_one_tick(self):
+        """Draws without a complaint."""
+        run = make_rich_run(12.0)
+        one = dc.replace(
+            run, column={k: v[:1] for k, v in run.column.items()}, scan={}
+        )
+        samples = {Cell(sensing="tof", configuration="vo"): one}
+        results = self.campaign.results
+        for make, _, arguments in mut.list_figures(results, samples).values():
+            for narrow in (False, True):
+                with warnings.catch_warnings():
+                    warnings.simplefilter("error")
+                    figures.to_svg(make(*arguments, narrow=narrow))
 
     def test_response(self):
         wide = campaign_figures.make_response_figure(self.samples)
@@ -260,12 +320,33 @@ class TestReport(unittest.TestCase):
         for row in self.campaign.rows.values():
             row["contacts_while_moving"] = 0.0
         _, _, text = self.make()
+        self.assertNotIn("in 1 runs", text)
         # Variants are no part of it: 12 cells, 2 trials.
         self.assertIn("touched nobody in 24 runs", text)
         self.assertIn("below 11.7 % per run", text)
         self.campaign.rows["tof-vo-2"]["contacts_while_moving"] = 3.0
         _, _, text = self.make(results=self.campaign.results)
         self.assertIn("In 1 of 24 runs the moving robot touched", text)
+
+    def test_one_of_a_thing_is_in_the_singular(self):
+        claims = [
+            Claim(key="a", text="a", verdict=verdict, unit="s")
+            for verdict in (
+                REPRODUCED,
+                UNDECIDED,
+                NOT_REPRODUCED,
+                NOT_REPRODUCED,
+            )
+        ]
+        sentences = mut.make_verdict(self.campaign.results, claims, {})
+        self.assertIn(
+            "Of 4 claims of the paper that this campaign can judge, 1 is "
+            "reproduced, 2 are not, and 1 is undecided.",
+            sentences[0][1],
+        )
+        row = self.campaign.rows["tof-vo-1"] | {"contacts_while_moving": 0.0}
+        sentences = mut.make_verdict(Results([row]), claims, {})
+        self.assertIn("touched nobody in 1 run. That", sentences[1][1])
 
     def test_one_contact_is_no_contacts(self):
         for row in self.campaign.rows.values():
@@ -375,12 +456,22 @@ class TestTables(unittest.TestCase):
         vo = Cell(sensing="tof", configuration="vo")
         vr = Cell(sensing="tof", configuration="vr")
         table = mut.make_difference_table(
-            campaign.results, [(vr, vo)], mut.METRICS["Productivity"][:2]
+            campaign.results,
+            [(vr, vo)],
+            [
+                m
+                for m in mut.METRICS["Productivity"]
+                if m.name in ("productivity", "task_time_s")
+            ],
         )
         (row,) = table["rows"]
         self.assertEqual(row[0], "Real Vr \u2212 Real Vo")
-        self.assertEqual(row[1][0], ("+5.0 \u00b1 0.0", True))
-        self.assertEqual(row[1][1], ("+0.0 \u00b1 0.0", False))
+        self.assertEqual(row[1][0], ("+5.0 \u00b1 0.1", True))
+        # Equal in both trials: nothing to be sure of.
+        self.assertEqual(row[1][1], ("+0.0", False))
+        # A difference of shares is in points.
+        units = [unit for _, unit in table["head"]]
+        self.assertEqual(units, ["points", "s"])
 
     def test_only_vo_monitors_the_person(self):
         campaign = _Campaign()
@@ -393,9 +484,70 @@ class TestTables(unittest.TestCase):
         labels = [label for label, _ in table["head"]]
         column = labels.index("as measured: median")
         texts = [texts[column] for _, texts in table["rows"]]
-        self.assertEqual(texts, ["0.10 \u00b1 0.00", "\u2013", "\u2013"])
+        self.assertEqual(texts, ["0.10", "\u2013", "\u2013"])
         walking_in = [texts[0] for _, texts in table["rows"]]
-        self.assertEqual(set(walking_in), {"0.20 \u00b1 0.00"})
+        self.assertEqual(set(walking_in), {"0.20"})
+
+    def test_the_worst_of_all_runs(self):
+        """Not the mean of the runs' worst, which is a column of its own."""
+        campaign = _Campaign()
+        cell = Cell(sensing="tof", configuration="vr")
+        for trial, shortfall, late in ((1, 0.3, 0.01), (2, 0.9, -0.02)):
+            campaign.rows[f"tof-vr-{trial}"] |= {
+                "shortfall_walking_in_max_m": shortfall,
+                "latency_over_T_R_s": late,
+                "ur10_stop_over_T_stop_s": math.nan,
+            }
+        table = mut.make_cell_table(campaign.results, [cell], mut.AUDIT_METRICS)
+        ((_, texts),) = table["rows"]
+        by_label = {}
+        for (label, _), text in zip(table["head"], texts, strict=True):
+            by_label.setdefault(label, text)
+        self.assertEqual(by_label["worst of all runs"], "0.90")
+        mean = by_label["mean of the runs\u2019 worst"]
+        self.assertTrue(mean.startswith("0.60 \u00b1 "), mean)
+        self.assertEqual(by_label["worst latency over T_R"], "10")
+        self.assertEqual(by_label["UR10\u2019s stop over T_stop"], "\u2013")
+
+    def test_measured_productivity_is_shown(self):
+        campaign = _Campaign()
+        for row in campaign.rows.values():
+            row["task_time_s"] = 100.0
+        campaign.rows["alone"]["task_time_s"] = 60.0
+        cell = Cell(sensing="tof", configuration="vo")
+        table = mut.make_cell_table(
+            campaign.results, [cell], mut.METRICS["Productivity"]
+        )
+        labels = [label for label, _ in table["head"]]
+        ((_, texts),) = table["rows"]
+        self.assertEqual(texts[labels.index("productivity, measured")], "60.0")
+
+    def test_which_studies_were_run(self):
+        text = mut.describe_studies(_Campaign(variants=["literal"]).results)
+        self.assertTrue(text.startswith("Run: literal (literal law). Not run"))
+        for key in ("kmax", "exact", "late", "subtracted", "piecewise"):
+            self.assertIn(f"{key} (", text.partition("Not run: ")[2])
+        self.assertIn("--study all adds them", text)
+        self.assertNotIn("Without a cell", text)
+        text = mut.describe_studies(_Campaign(sensings=["lidar"]).results)
+        self.assertTrue(text.startswith("No study was run. Not run: subtr"))
+        self.assertIn(
+            "Without a cell in this campaign: literal (literal law), kmax",
+            text,
+        )
+        everything = list(VARIANTS)
+        text = mut.describe_studies(_Campaign(variants=everything).results)
+        self.assertNotIn("Not run", text)
+        self.assertNotIn("--study", text)
+
+    def test_symbols(self):
+        self.assertEqual(
+            write_symbols("inside S_p < T_stop, alpha_I of k_max"),
+            "inside S<sub>p</sub> &lt; T<sub>stop</sub>, "
+            "\u03b1<sub>I</sub> of k<sub>max</sub>",
+        )
+        for text in ("state_changes", "shortfall", "t"):
+            self.assertEqual(write_symbols(text), text)
 
     def test_a_study_is_told_by_its_cells(self):
         campaign = _Campaign(variants=["late"])
@@ -411,7 +563,7 @@ class TestTables(unittest.TestCase):
         table = mut.make_cell_table(
             campaign.results,
             campaign.plan.cells[:1],
-            mut.METRICS["Productivity"][1:2],
+            [m for m in mut.METRICS["Productivity"] if m.name == "task_time_s"],
         )
         self.assertEqual(table["rows"][0][1], ["\u2013"])
 

@@ -127,7 +127,7 @@ class TestEveryExplanation(unittest.TestCase):
         text = mut.explain_real_against_ideal(results)
         self.assertIn("earlier than Ideal: Real Vo by 0.20 s.", text)
         self.assertIn("Later: Real SM by 0.20 s.", text)
-        self.assertIn("Real is: Vo +0.20 \u00b1 0.00 s, SM", text)
+        self.assertIn("Real is: Vo +0.20 s, SM", text)
 
     def test_ramps(self):
         def by_configuration(*values):
@@ -151,12 +151,14 @@ class TestEveryExplanation(unittest.TestCase):
     def test_studies(self):
         plan = make_small_plan(3, variants=["kmax", "late"])
         for shift, expected in (
-            (0.5, "Real Vr (k_max 3.3 m/s) +50.0 \u00b1 0.0"),
-            (0.0, "confidence: none."),
+            (0.5, "Real Vr (k_max 3.3 m/s) +50.0 \u00b1 0.1"),
+            (0.5, "So what was changed there matters to this number."),
+            (0.0, "confidence: none. So nothing that was changed there is"),
         ):
 
             def change(cell, trial, shift=shift):
-                moved = shift if cell.variant == "kmax" else 0.0
+                own = shift + 0.0005 * (trial % 2) * (shift > 0.0)
+                moved = own if cell.variant == "kmax" else 0.0
                 return {"productivity": 0.1 * trial + moved}
 
             rows = make_rows(plan, {"task_time_s": 80.0}, change)
@@ -171,6 +173,139 @@ class TestEveryExplanation(unittest.TestCase):
             self.assertNotIn("late", text)
         results = make_results_of({"productivity": 0.5})
         self.assertEqual(mut.explain_studies(results, "productivity"), "")
+
+    def test_what_costs_productivity(self):
+        vr = mut.make_cell("tof", "vr")
+        share = {("tof", "vo"): 0.5, ("tof", "vr"): 0.7}
+        stops = {("tof", "vo"): 20.0, ("tof", "vr"): 5.0}
+        slow = {("tof", "vo"): 20.0, ("tof", "vr"): 30.0}
+        for stopped, reduced, expected in (
+            (
+                stops,
+                slow,
+                "So Real Vr is more productive than Real Vo mostly by its "
+                "stops: it loses 15.0 s less to stops and 5.0 s more to slow "
+                "movement.",
+            ),
+            (
+                {("tof", "vo"): 5.0, ("tof", "vr"): 6.0},
+                {("tof", "vo"): 30.0, ("tof", "vr"): 20.0},
+                "mostly by its slow movement: it loses 1.0 s more to stops "
+                "and 5.0 s less to slow movement.",
+            ),
+            (slow, slow, "it loses no less time: not for these times."),
+        ):
+            results = make_results_of(
+                {
+                    "productivity": share,
+                    "stopped_s": stopped,
+                    "reduced_s": reduced,
+                }
+            )
+            text = mut.explain_times(results, [REAL, vr])
+            self.assertTrue(text.endswith(expected), text)
+            # Cells that are not compared with each other are not concluded on.
+            text = mut.explain_times(results, [REAL, vr], by="configuration")
+            self.assertNotIn("So ", text)
+
+    def test_what_makes_slowing_long(self):
+        times = {("tof", "vo"): 0.2, ("tof", "vr"): 0.3}
+        for normal, expected in (
+            (
+                {("tof", "vo"): 20.0, ("tof", "vr"): 40.0},
+                "So the configuration that takes longest to slow down with "
+                "its sensing is in the normal state for longest between",
+            ),
+            (
+                {("tof", "vo"): 40.0, ("tof", "vr"): 20.0},
+                "So there is one that takes longest to slow down though",
+            ),
+        ):
+            results = make_results_of(
+                {
+                    "time_to_reduce_s": times,
+                    "normal_s": normal,
+                    "reduce_events": 4.0,
+                }
+            )
+            text = mut.explain_slowing(results)
+            self.assertIn("Real Vo " + f"{normal['tof', 'vo'] / 4:.1f}", text)
+            self.assertIn(expected, text)
+            self.assertTrue(text.endswith(": Real Vr."), text)
+
+    def test_what_makes_the_velocity_change_large(self):
+        speeds = {("tof", "vo"): 0.5, ("tof", "vr"): 0.9}
+        for normal, expected in (
+            (
+                {("tof", "vo"): 2.0, ("tof", "vr"): 8.0},
+                "So the configuration that has the largest velocity change "
+                "with its sensing is in the normal state for longest per stop, "
+                "so it is more often at full speed when it has to stop: "
+                "Real Vr.",
+            ),
+            (
+                {("tof", "vo"): 8.0, ("tof", "vr"): 2.0},
+                "So there is one that has the largest velocity change though "
+                "it is not in the normal state for longest per stop, so "
+                "something else makes the change largest: Real Vr.",
+            ),
+        ):
+            results = make_results_of(
+                {
+                    "velocity_change_at_stop_mps": speeds,
+                    "normal_s": normal,
+                    "stop_events": 4.0,
+                }
+            )
+            text = mut.explain_speeds(results)
+            self.assertTrue(text.endswith(expected), text)
+
+    def test_what_makes_chatter(self):
+        changes = {("tof", "vo"): 2.0, ("tof", "vr"): 3.0}
+        for false, expected in (
+            ({("tof", "vo"): 0.0, ("tof", "vr"): 5.0}, "reacts to what is no"),
+            ({("tof", "vo"): 5.0, ("tof", "vr"): 0.0}, "come from the law's"),
+        ):
+            results = make_results_of(
+                {"state_changes_per_episode": changes, "false_events": false}
+            )
+            self.assertIn(expected, mut.explain_chatter(results))
+
+    def test_who_asks_for_another_separation(self):
+        cells = [REAL, IDEAL]
+        kept = {("tof", "vo"): 0.8, ("ideal", "vo"): 0.8}
+        for separation, asked, expected, unexpected in (
+            (
+                kept,
+                {("tof", "vo"): 0.9, ("ideal", "vo"): 0.5},
+                "than 0.5 m with Real Vo. The law does not ask for that with "
+                "Ideal Vo",
+                "intervals",
+            ),
+            (kept, 0.9, "than 0.5 m with Real Vo, Ideal Vo.", "does not"),
+            (kept, 0.2, "does not ask for that with Real Vo, Ideal", "itself"),
+            (0.52, 0.9, "only their intervals", "itself"),
+        ):
+            results = make_results_of({"kept": separation, "asked": asked})
+            text = mut.conclude_separation(
+                results, "kept", "asked", cells, 0.5, 0.2
+            )
+            self.assertIn(expected, text)
+            self.assertNotIn(unexpected, text)
+
+    def test_what_the_lidar_asks_for(self):
+        for lidar, expected in (
+            (1.5, "asks for more with the Lidar in 2 of 2 comparisons"),
+            (0.6, "1 of 2 comparisons"),
+            (0.6, "It asks for no more with: Lidar Vo than Real Vo."),
+            (0.3, "does not ask for more with the Lidar."),
+        ):
+            asked = {
+                **{("tof", "vo"): 0.9, ("ideal", "vo"): 0.5},
+                ("lidar", "vo"): lidar,
+            }
+            results = make_results_of({"d_C_at_stop_m": asked})
+            self.assertIn(expected, mut.conclude_lidar(results))
 
     def test_lists(self):
         results = make_results_of(
@@ -205,6 +340,9 @@ class TestEveryExplanation(unittest.TestCase):
             mut.explain_slowing(nothing),
             mut.explain_speeds(nothing),
             mut.explain_law_distances(nothing, "d", "d", cells),
+            mut.explain_chatter(nothing),
+            mut.conclude_separation(nothing, "d", "d", cells, 0.5, 0.2),
+            mut.conclude_lidar(nothing),
         ):
             self.assertEqual(text, "")
         self.assertNotIn(":", mut.explain_ramps(nothing))

@@ -38,7 +38,12 @@ class TestEstimate(unittest.TestCase):
         self.assertEqual((one.mean, one.count), (3.0, 1))
         self.assertTrue(math.isnan(one.half_width))
         same = mut.calc_estimate([2.0, 2.0, 2.0])
-        self.assertEqual((same.low, same.high), (2.0, 2.0))
+        self.assertEqual((same.mean, same.count), (2.0, 3))
+        # Their interval would have no width: that is no certainty.
+        self.assertTrue(math.isnan(same.half_width))
+        rounded = mut.calc_estimate([0.1 + 0.2, 0.3])
+        self.assertTrue(math.isnan(rounded.half_width))
+        self.assertGreater(mut.calc_estimate([0.3, 0.3001]).half_width, 0.0)
 
     def test_paired_difference_uses_the_trials_of_both(self):
         first = {1: 5.0, 2: 7.0, 3: 100.0}
@@ -50,10 +55,13 @@ class TestEstimate(unittest.TestCase):
     def test_pairing_takes_out_what_trials_share(self, shift, seed):
         rng = np.random.default_rng(seed)
         people = dict(enumerate(rng.normal(0.0, 10.0, 5)))
-        moved = {trial: value + shift for trial, value in people.items()}
+        moved = {
+            trial: value + shift + 0.001 * (trial % 2)
+            for trial, value in people.items()
+        }
         value = mut.calc_paired_difference(moved, people)
-        self.assertAlmostEqual(value.mean, shift)
-        self.assertLess(value.half_width, 1e-9)
+        self.assertAlmostEqual(value.mean, shift + 0.0004)
+        self.assertLess(value.half_width, 0.001)
 
 
 class TestEllipse(unittest.TestCase):

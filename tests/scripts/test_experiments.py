@@ -15,7 +15,9 @@ import pyarrow.parquet as pq
 import pytest
 
 from tofssm_drake.diagrams import campaign_run
+from tofssm_drake.diagrams.scenario import load_scenario
 from tofssm_drake.evaluation import campaign_report
+from tofssm_drake.evaluation.campaign import list_studies, make_plan
 from tofssm_drake.evaluation.samples import read_samples
 import tofssm_drake.scripts.experiments as mut
 import tofssm_drake.scripts.main as main
@@ -31,7 +33,7 @@ COMMAND = (sys.executable, "-m", "tofssm_drake.scripts.main", "experiments")
 
 
 @contextlib.contextmanager
-def connect_in_process(scheduler=None, *, workers=None):
+def connect_in_process(scheduler=None, *, workers=None, scratch=None):
     with (
         LocalCluster(
             n_workers=1,
@@ -161,8 +163,13 @@ class TestGoingOn:
         """By kill -9, on processes of their own, as a user runs it."""
         out = tmp_path / "out"
         command = [*COMMAND, *SMALL, "--workers", "1", "--out", out]
+        own = tmp_path / "tmp"
+        own.mkdir()
         process = subprocess.Popen(
-            command, stderr=subprocess.PIPE, start_new_session=True
+            command,
+            stderr=subprocess.PIPE,
+            start_new_session=True,
+            env=os.environ | {"TMPDIR": str(own)},
         )
         try:
             while not list(out.glob("runs/*/row.parquet")):
@@ -182,9 +189,27 @@ class TestGoingOn:
                 os.killpg(process.pid, signal.SIGKILL)
             process.wait()
             process.stderr.close()
+        # What its processes could not take away is in the campaign's folder.
+        assert list_tree(own) == []
+        assert (out / ".scratch").is_dir()
         assert not (out / "results.parquet").exists()
         assert run_in_process(*SMALL, "--out", out) == 0
         check_equal(out, whole)
+        assert not (out / ".scratch").exists()
+
+    def test_missing_samples(self, whole, tmp_path, capfd):
+        out = tmp_path / "out"
+        shutil.copytree(whole, out)
+        run = out / "runs" / "lidar-vo-1"
+        for spoil in (
+            lambda path: path.write_bytes(b"half"),
+            lambda path: path.unlink(),
+        ):
+            spoil(run / "samples.parquet")
+            assert run_in_process(*SMALL, "--out", out, report=True) == 2
+            (line,) = capfd.readouterr().err.splitlines()
+            assert str(run / "samples.parquet") in line
+            assert f"remove {run} to have the run repeated" in line
 
     def test_failed_run(self, whole, tmp_path, monkeypatch, capfd):
         out = tmp_path / "out"
@@ -313,7 +338,19 @@ class TestScheduler:
 
 
 # What a user wrote, and what the line on stderr must tell.
+NO_RINGS = ("--sensing", "lidar")
 BAD_INPUT = {
+    "no_folder": (("--out", ""), "must not be empty"),
+    "study_twice": (("--study", "all", "--study", "all"), "names one of them"),
+    "none_and_more": (("--study", "none", "--study", "late"), "none goes with"),
+    "no_cell": (
+        (*NO_RINGS, "--study", "exact"),
+        "--study: exact needs one of the sensings tof with one of the config",
+    ),
+    "no_cell_of_all": (
+        (*NO_RINGS, "--study", "all", "--study", "late"),
+        "--study: late needs one of the sensings ideal",
+    ),
     "sensing": (("--sensing", "radar"), "--sensing: 'radar' is unknown"),
     "twice": (("--ssm", "vo", "--ssm", "vo"), "--ssm: vo, vo names one"),
     "ssm": (("--ssm", "vx"), "--ssm: 'vx' is unknown, use one of vo, vr, sm"),
@@ -388,8 +425,81 @@ class TestBadInput:
         assert message in line
         assert list_tree(whole) == before
 
-    def test_unwritable_folder(self, tmp_path, capfd):
-        (tmp_path / "file").write_text("in the way")
-        code = run_in_process(*SMALL, "--out", tmp_path / "file")
-        assert code == 2
-        assert "--out: can not write into" in capfd.readouterr().err
+    @pytest.mark.parametrize(
+        "name", ["", "runs", "runs/alone", "runs/lidar-vo-1", "figures"]
+    )
+    def test_a_file_where_a_folder_belongs(self, name, tmp_path, capfd):
+        path = tmp_path / "out" / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text("in the way")
+        before = list_tree(tmp_path)
+        for out in (tmp_path / "out", tmp_path / "out" / "x"):
+            if out.name == "x" and name:
+                continue
+            assert run_in_process(*SMALL, "--out", out, report=True) == 2
+            (line,) = capfd.readouterr().err.splitlines()
+            assert line.startswith("tofssm: --out: can not write into")
+            assert f"{path} is no folder" in line
+        assert list_tree(tmp_path) == before
+
+    @pytest.mark.parametrize(
+        "name", ["campaign.json", "results.parquet", "report.html"]
+    )
+    def test_a_folder_where_a_file_belongs(self, name, tmp_path, capfd):
+        (tmp_path / name).mkdir()
+        assert run_in_process(*SMALL, "--out", tmp_path) == 2
+        (line,) = capfd.readouterr().err.splitlines()
+        assert f"{tmp_path / name} is a folder" in line
+
+
+class TestStudies:
+    def test_the_literal_law_is_studied_unless_told_otherwise(self):
+        possible = list_studies(["tof", "lidar"], ["vo"])
+        assert possible == ["literal", "exact", "subtracted", "piecewise"]
+        assert mut.choose_studies(None, possible) == ["literal"]
+        assert mut.choose_studies(None, ["late"]) == []
+        assert mut.choose_studies(["none"], possible) == []
+        assert mut.choose_studies(["all"], possible) == possible
+        assert mut.choose_studies(["exact"], possible) == ["exact"]
+
+    def test_the_command_tells_the_studies(self):
+        for asked, studies, told in (
+            (None, ["literal"], " --study literal"),
+            (None, [], " --study none"),
+            (["all"], ["late", "exact"], ""),
+        ):
+            command = mut.make_command(["experiments"], asked, studies)
+            assert command == "tofssm experiments" + told
+
+    def test_they_are_in_the_default_plan(self, tmp_path, monkeypatch):
+        seen = []
+        monkeypatch.setattr(
+            mut, "enter_folder", lambda folder, plan: seen.append(plan) or 1 / 0
+        )
+        for arguments, keys in (
+            ((), ["tof-vo-literal", "tof-vr-literal", "tof-sm-literal"]),
+            (("--study", "none"), []),
+        ):
+            with pytest.raises(ZeroDivisionError):
+                mut.experiments(study=list(arguments[1:]) or None, out=tmp_path)
+            found = [c.key for c in seen.pop().cells if c.variant]
+            assert found == keys
+
+
+class TestParameters:
+    def test_all_of_the_papers_table(self):
+        plan = make_plan(
+            seed=0,
+            trials=1,
+            sensings=["tof", "lidar"],
+            configurations=["vo"],
+            variants=[],
+            scenario={},
+        )
+        rows = dict(mut.list_parameters(load_scenario(), plan))
+        (V_hmax,) = [v for name, v in rows.items() if "V_hmax" in name]
+        assert V_hmax["tof"] == "1.6 m/s"
+        (r_o,) = [v for name, v in rows.items() if name.startswith("r_o")]
+        assert r_o == {"tof": "\u2013", "lidar": "0.82 m"}
+        told = " ".join(v["tof"] for n, v in rows.items() if "\u03c1" in n)
+        assert told == "1, 0.5, 0 3.33 1/s, 33.3 1/s\u00b2"

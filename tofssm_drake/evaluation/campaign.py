@@ -17,7 +17,9 @@ In the folder of a campaign:
 import dataclasses as dc
 import io
 import json
+import os
 from pathlib import Path
+import shutil
 
 import numpy as np
 import pyarrow as pa
@@ -44,6 +46,10 @@ class Variant:
     configurations: tuple[str, ...]
     changes: str
     """The changed settings of the scenario, as YAML."""
+
+    def covers(self, sensing: str, configuration: str) -> bool:
+        """Tells whether a cell is run once more."""
+        return sensing in self.sensings and configuration in self.configurations
 
 
 def _make_lidar_variant(key, rule, label, question):
@@ -125,6 +131,7 @@ _SENSING_LABEL = {
 _CONFIGURATION_LABEL = {"vo": "Vo", "vr": "Vr", "sm": "SM"}
 
 _PLAN_FILE = "campaign.json"
+_SCRATCH = ".scratch"
 
 ALONE = "alone"
 """Key of the run without a person, which gives the undisturbed task time."""
@@ -289,7 +296,8 @@ def make_plan(
         sensings: Some of SENSINGS, in order, each once.
         configurations: Some of vo, vr and sm, likewise.
         variants: Some of VARIANTS, likewise; of each those cells are run
-            besides whose sensing and configuration are asked for.
+            besides whose sensing and configuration are asked for, at least
+            one.
         scenario: What all runs have in common, as plain values.
         motions: Digests of recordings by file name.
         versions: Versions of packages.
@@ -322,13 +330,20 @@ def make_plan(
         for sensing in sensings
         for configuration in configurations
     ]
-    cells += [
-        dc.replace(cell, variant=key)
-        for key in variants
-        for cell in cells
-        if cell.sensing in VARIANTS[key].sensings
-        and cell.configuration in VARIANTS[key].configurations
-    ]
+    plain = list(cells)
+    for key in variants:
+        studied = [
+            dc.replace(cell, variant=key)
+            for cell in plain
+            if VARIANTS[key].covers(cell.sensing, cell.configuration)
+        ]
+        require(
+            len(studied) > 0,
+            f"--study: {key} needs one of the sensings "
+            f"{', '.join(VARIANTS[key].sensings)} with one of the "
+            f"configurations {', '.join(VARIANTS[key].configurations)}",
+        )
+        cells += studied
     return Plan(
         seed=seed,
         cells=tuple(cells),
@@ -337,6 +352,15 @@ def make_plan(
         motions=dict(motions or {}),
         versions=dict(versions or {}),
     )
+
+
+def list_studies(sensings: list[str], configurations: list[str]) -> list[str]:
+    """Returns the keys of the studies that have a cell among these."""
+    return [
+        key
+        for key, variant in VARIANTS.items()
+        if any(variant.covers(s, c) for s in sensings for c in configurations)
+    ]
 
 
 def describe_plan(plan: Plan) -> dict:
@@ -394,12 +418,39 @@ def find_change(old: dict, new: dict) -> str | None:
     return None
 
 
+def check_folder(folder: Path, plan: Plan) -> None:
+    """Raises UserError if something else is where results belong."""
+    folder = Path(folder)
+    folders = [
+        *(*reversed(folder.parents), folder),
+        *(folder / "runs", folder / "figures", get_scratch(folder)),
+        *(get_run_folder(folder, run) for run in plan.list_runs()),
+    ]
+    for path in folders:
+        require(
+            path.is_dir() or not os.path.lexists(path),
+            f"--out: can not write into {folder}: {path} is no folder",
+        )
+    for name in (_PLAN_FILE, "results.parquet", "report.html"):
+        require(
+            not (folder / name).is_dir(),
+            f"--out: can not write into {folder}: {folder / name} is a folder",
+        )
+
+
+def get_scratch(folder: Path) -> Path:
+    """Returns where processes keep what they need while they run."""
+    return Path(folder) / _SCRATCH
+
+
 def enter_folder(folder: Path, plan: Plan) -> None:
     """Tidies up what a kill has left in the folder of this campaign.
 
     Raises:
-        UserError: Another campaign is in the folder.
+        UserError: Another campaign is in the folder, or something that is no
+            campaign's.
     """
+    check_folder(folder, plan)
     path = Path(folder) / _PLAN_FILE
     if not path.exists():
         return
@@ -416,6 +467,7 @@ def enter_folder(folder: Path, plan: Plan) -> None:
     # What a kill left of files that were being written.
     for half in Path(folder).rglob(PARTS):
         half.unlink(missing_ok=True)
+    shutil.rmtree(get_scratch(folder), ignore_errors=True)
 
 
 def open_folder(folder: Path, plan: Plan) -> None:

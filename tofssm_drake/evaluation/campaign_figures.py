@@ -40,6 +40,13 @@ SENSING_COLOUR = {
     "lidar": VERMILLION,
     "tof16": PURPLE,
 }
+SENSING_TEXT = {
+    "tof": BLUE,
+    "ideal": "#00795A",
+    "lidar": "#A84700",
+    "tof16": "#95466F",
+}
+"""The same, dark enough for letters on white paper."""
 SENSING_NAME = {
     "tof": "Real (8 sensors per ring)",
     "ideal": "Ideal",
@@ -142,10 +149,12 @@ def _draw_distance(ax, cell, run, narrow, first):
         label="true",
     )
     ax.set_ylim(0, 2.0)
-    if len(t):
+    if len(t) > 1:
         ax.set_xlim(t[0], t[-1])
     ax.set_ylabel("m" if narrow else "distance (m)")
-    ax.set_title(cell.label, color=colour, pad=20 if first else 6)
+    ax.set_title(
+        cell.label, color=SENSING_TEXT[cell.sensing], pad=20 if first else 6
+    )
     if first:
         handles = [
             Line2D([], [], color=GREY, label=label),
@@ -224,7 +233,7 @@ def _draw_errors(ax, results, sensings, narrow):
             textcoords="offset points",
             ha="center",
             va="top",
-            color=SENSING_COLOUR[sensing],
+            color=SENSING_TEXT[sensing],
             fontweight="bold",
         )
         x += 1.2 * width
@@ -336,12 +345,25 @@ def make_productivity_figure(
         ax.set_ylabel("productivity (%)")
         ax.set_ylim(0, 100)
         ax.set_xlim(left=0)
-        add_legend(ax, _cell_handles(cells), columns=2 if narrow else 4)
+        _add_cell_legend(ax, cells, narrow)
     return figure
 
 
-def _cell_handles(cells):
-    handles = [
+def _add_cell_legend(ax, cells, narrow):
+    """Legend with configurations and sensings in a row each, or a column."""
+    groups = [_configuration_handles(cells), _sensing_handles(cells)]
+    size = max(len(group) for group in groups)
+    blank = Line2D([], [], linestyle="none", label=" ")
+    groups = [group + [blank] * (size - len(group)) for group in groups]
+    if not narrow:
+        # A legend is filled column by column.
+        groups = [list(pair) for pair in zip(*groups, strict=True)]
+    handles = [handle for group in groups for handle in group]
+    add_legend(ax, handles, columns=max(2 if narrow else size, 1))
+
+
+def _configuration_handles(cells):
+    return [
         Line2D(
             [],
             [],
@@ -354,7 +376,10 @@ def _cell_handles(cells):
         )
         for c in _find_configurations(cells)
     ]
-    return handles + [
+
+
+def _sensing_handles(cells):
+    return [
         Patch(color=SENSING_COLOUR[s], label=_SHORT_NAME[s])
         for s in _find_sensings(cells)
     ]
@@ -384,7 +409,7 @@ def make_response_figure(
                 time, 0, speed, color=ORANGE, alpha=0.45, linewidth=0
             )
             ax.set_ylim(0, 1.8)
-            ax.set_title(cell.label, color=SENSING_COLOUR[cell.sensing])
+            ax.set_title(cell.label, color=SENSING_TEXT[cell.sensing])
             twin = ax.twinx()
             time, distance, _, _ = thin(t, centre, 700)
             twin.plot(
@@ -396,7 +421,7 @@ def make_response_figure(
             twin.set_ylim(0, 2.4)
             twin.grid(False)
             twin.spines["right"].set_visible(True)
-            if len(t):
+            if len(t) > 1:
                 ax.set_xlim(t[0], t[-1])
             ax.set_ylabel("tool (m/s)" if _is_left(ax) or narrow else "")
             right = narrow or _is_right(ax)
@@ -450,7 +475,7 @@ def make_phase_figure(
                 norm=LogNorm(0.005, 5.0),
                 rasterized=True,
             )
-            ax.set_title(cell.label, color=SENSING_COLOUR[cell.sensing])
+            ax.set_title(cell.label, color=SENSING_TEXT[cell.sensing])
             if narrow or _is_left(ax):
                 ax.set_ylabel("tool (m/s)")
             if narrow or _is_bottom(ax):
@@ -606,7 +631,7 @@ def _draw_radar(ax, results, cells, title, curves):
     ax.plot(turn, np.zeros_like(turn), color=GREY, linewidth=1.4, zorder=1)
     ax.set_xticks(angle, [cell.label for cell in cells])
     for tick, cell, a in zip(ax.get_xticklabels(), cells, angle, strict=True):
-        tick.set_color(SENSING_COLOUR[cell.sensing])
+        tick.set_color(SENSING_TEXT[cell.sensing])
         side = round(math.sin(a), 6)
         tick.set_horizontalalignment(
             "center" if not side else "left" if side > 0 else "right"
@@ -648,7 +673,7 @@ def make_audit_figure(results: Results, *, narrow: bool = False) -> Figure:
         ax.set_yticks(range(len(cells)), [cell.label for cell in cells])
         ax.set_ylim(len(cells) - 0.4, -0.6)
         for tick, cell in zip(ax.get_yticklabels(), cells, strict=True):
-            tick.set_color(SENSING_COLOUR[cell.sensing])
+            tick.set_color(SENSING_TEXT[cell.sensing])
         ax.grid(axis="y", visible=False)
         ax.set_xlabel(
             "shortfall $S_p - d_C$ (m)"

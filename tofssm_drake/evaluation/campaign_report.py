@@ -4,6 +4,7 @@ import dataclasses as dc
 import math
 from pathlib import Path
 
+from tofssm_drake.errors import UserError
 from tofssm_drake.evaluation import campaign_figures, figures
 from tofssm_drake.evaluation.campaign import (
     VARIANTS,
@@ -20,6 +21,7 @@ from tofssm_drake.evaluation.claims import (
     Claim,
     check_claims,
 )
+from tofssm_drake.evaluation.explanations import join
 from tofssm_drake.evaluation.page import Picture, render_page
 from tofssm_drake.evaluation.report import count_of
 from tofssm_drake.evaluation.results import Results
@@ -29,6 +31,7 @@ from tofssm_drake.evaluation.samples import (
     write_atomically,
 )
 from tofssm_drake.evaluation.statistics import (
+    Estimate,
     calc_rate_bound,
     format_estimate,
 )
@@ -55,6 +58,8 @@ class Metric:
     scale: float = 1.0
     configurations: tuple[str, ...] = tuple(CONFIGURATION_NAME)
     """Those for which it means something; the others have a dash."""
+    is_worst: bool = False
+    """Whether the greatest value of all runs is told instead of the mean."""
 
 
 METRICS = {
@@ -145,6 +150,13 @@ METRICS = {
             digits=1,
             scale=100.0,
         ),
+        Metric(
+            name="productivity_measured",
+            label="productivity, measured",
+            unit="%",
+            digits=1,
+            scale=100.0,
+        ),
         Metric(name="task_time_s", label="task time", unit="s", digits=1),
         Metric(name="stopped_s", label="stopped", unit="s", digits=1),
         Metric(name="reduced_s", label="reduced", unit="s", digits=1),
@@ -163,7 +175,8 @@ def _make_shortfall_metrics(name, label, **options):
     """Columns of a shortfall: name in the results, label of the median."""
     columns = (
         ("p50_m", label, {"unit": "m"}),
-        ("max_m", "worst", {"unit": "m"}),
+        ("max_m", "mean of the runs\u2019 worst", {"unit": "m"}),
+        ("max_m", "worst of all runs", {"unit": "m", "is_worst": True}),
         (
             "share",
             "time too short",
@@ -196,13 +209,15 @@ AUDIT_METRICS = (
         unit="ms",
         digits=0,
         scale=1000.0,
+        is_worst=True,
     ),
     Metric(
         name="ur10_stop_over_T_stop_s",
-        label="UR10's stop over T_stop",
+        label="UR10\u2019s stop over T_stop",
         unit="ms",
         digits=0,
         scale=1000.0,
+        is_worst=True,
     ),
 )
 """Columns of the audit's table."""
@@ -232,20 +247,20 @@ def make_cell_table(results: Results, cells, metrics) -> dict:
     Returns:
         `head`, pairs (label, unit), and `rows`, pairs (cell, texts).
     """
+
+    def tell(cell, metric):
+        if cell.configuration not in metric.configurations:
+            return _NONE
+        value = results.estimate(cell, metric.name)
+        if metric.is_worst and value.count:
+            known = results.values(cell, metric.name).values()
+            worst = max(v for v in known if math.isfinite(v))
+            value = Estimate(mean=worst, half_width=math.nan, count=1)
+        return _format(value, metric)
+
     return {
         "head": [(m.label, m.unit) for m in metrics],
-        "rows": [
-            (
-                cell,
-                [
-                    _format(results.estimate(cell, m.name), m)
-                    if cell.configuration in m.configurations
-                    else _NONE
-                    for m in metrics
-                ],
-            )
-            for cell in cells
-        ],
+        "rows": [(cell, [tell(cell, m) for m in metrics]) for cell in cells],
     }
 
 
@@ -273,7 +288,9 @@ def make_difference_table(results: Results, pairs, metrics) -> dict:
             # The table is about the variant.
             label = second.label
         rows.append((label, entries))
-    return {"head": [(m.label, m.unit) for m in metrics], "rows": rows}
+    # A difference of shares in % is not a share of anything.
+    head = [(m.label, "points" if m.unit == "%" else m.unit) for m in metrics]
+    return {"head": head, "rows": rows}
 
 
 def _format(value, metric, *, sign=False):
@@ -380,10 +397,10 @@ def make_verdict(
         verdict.append(
             (
                 "note",
-                f"Of {judged} claims of the paper that this campaign can "
-                f"judge, {count[REPRODUCED]} are reproduced, "
-                f"{count[NOT_REPRODUCED]} are not, and {count[UNDECIDED]} are "
-                "undecided.",
+                f"Of {_count(judged, 'claim')} of the paper that this "
+                f"campaign can judge, {_be(count[REPRODUCED])} reproduced, "
+                f"{_be(count[NOT_REPRODUCED])} not, and "
+                f"{_be(count[UNDECIDED])} undecided.",
             )
         )
     runs = results.count_runs()
@@ -399,7 +416,8 @@ def make_verdict(
         verdict.append(
             (
                 "bad",
-                f"In {with_contact} of {plain_runs} runs the moving robot "
+                f"In {with_contact} of {_count(plain_runs, 'run')} the moving "
+                "robot "
                 f"touched the person ({count_of(round(contacts), 'contact')}). "
                 "Runs with a "
                 f"contact: {_count_by_configuration(results, plain)}.",
@@ -410,7 +428,8 @@ def make_verdict(
         verdict.append(
             (
                 "good",
-                f"The moving robot touched nobody in {plain_runs} runs. That "
+                f"The moving robot touched nobody in "
+                f"{_count(plain_runs, 'run')}. That "
                 f"only bounds the rate of contacts below {bound:.1f} % per "
                 "run, with 95 % confidence.",
             )
@@ -420,8 +439,8 @@ def make_verdict(
         verdict.append(
             (
                 "note",
-                f"In {unfinished:.0f} of {runs} runs the task was not "
-                "finished when the time was up: "
+                f"In {unfinished:.0f} of {_count(runs, 'run')} the task was "
+                "not finished when the time was up: "
                 f"{_describe_unfinished(results)}. In brackets, for how much "
                 "of the time the person was truly within the distance at "
                 "which the law stops the robot. Their productivity is that "
@@ -432,11 +451,19 @@ def make_verdict(
         verdict.append(
             (
                 "bad",
-                f"{len(failures)} of {runs + len(failures)} runs failed and "
-                "are missing in what follows.",
+                f"{len(failures)} of {_count(runs + len(failures), 'run')} "
+                "failed and left nothing in what follows.",
             )
         )
     return verdict
+
+
+def _count(count, noun):
+    return f"{count} {noun}{'' if count == 1 else 's'}"
+
+
+def _be(count):
+    return f"{count} {'is' if count == 1 else 'are'}"
 
 
 def _describe_unfinished(results):
@@ -530,6 +557,9 @@ def read_first_runs(folder: Path, plan: Plan) -> dict[Cell, Samples]:
     """Reads what the figures need of one run of each cell without a variant.
 
     The first trial that is there; cells without any are left out.
+
+    Raises:
+        UserError: The samples of a finished run are missing or broken.
     """
     samples = {}
     for run in plan.list_runs():
@@ -538,7 +568,12 @@ def read_first_runs(folder: Path, plan: Plan) -> dict[Cell, Samples]:
             continue
         where = get_run_folder(folder, run)
         if (where / "row.parquet").exists():
-            samples[run.cell] = read_samples(where, _KINDS)
+            try:
+                samples[run.cell] = read_samples(where, _KINDS)
+            except UserError as error:
+                raise UserError(
+                    f"{error}; remove {where} to have the run repeated"
+                ) from None
     return {cell: samples[cell] for cell in plan.cells if cell in samples}
 
 
@@ -701,6 +736,7 @@ def make_campaign_report(
             if rows
         },
         studies=list(VARIANTS.values()),
+        studied=describe_studies(results),
         people=_make_people(plan),
         alone=_describe_alone(results),
         span=campaign_figures.SPAN,
@@ -709,6 +745,34 @@ def make_campaign_report(
         seed=plan.seed,
         failures=failures,
     )
+
+
+def describe_studies(results: Results) -> str:
+    """Tells which studies were run, and which others there are."""
+    cells = results.cells
+    run = [k for k in VARIANTS if any(c.variant == k for c in cells)]
+    plain = [cell for cell in cells if not cell.variant]
+    rest = [k for k in VARIANTS if k not in run]
+    possible = [
+        k
+        for k in rest
+        if any(VARIANTS[k].covers(c.sensing, c.configuration) for c in plain)
+    ]
+    impossible = [k for k in rest if k not in possible]
+    return join(
+        f"Run: {_name_studies(run)}." if run else "No study was run.",
+        f"Not run: {_name_studies(possible)}. The option --study all adds "
+        "them to this campaign."
+        if possible
+        else "",
+        f"Without a cell in this campaign: {_name_studies(impossible)}."
+        if impossible
+        else "",
+    )
+
+
+def _name_studies(keys):
+    return ", ".join(f"{key} ({VARIANTS[key].label})" for key in keys)
 
 
 def _describe_alone(results):

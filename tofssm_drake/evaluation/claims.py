@@ -174,8 +174,16 @@ def _claim_safety(results, key, text, pairs, *, least=False, why=""):
     return _claim(key, text, "m\u00b2/(m/s)", evidence, note, why)
 
 
-def _claim_productivity(results, key, text, pairs):
-    """A claim on productivity, with the time that is lost."""
+def _claim_productivity(results, key, text, pairs, *, by="sensing"):
+    """A claim on productivity, with the time that is lost.
+
+    Args:
+        results: Of the campaign.
+        key: Of the claim.
+        text: Of the claim.
+        pairs: (first, second) cells; the first is claimed to have more.
+        by: What the cells of a pair have in common.
+    """
     cells = _find_cells(pairs)
     return _claim(
         key,
@@ -183,10 +191,10 @@ def _claim_productivity(results, key, text, pairs):
         "percentage points",
         _compare(results, "productivity", pairs, scale=100.0),
         why=explanations.join(
-            explanations.explain_times(results, cells),
             explanations.explain_studies(
                 results, "productivity", digits=1, scale=100.0
             ),
+            explanations.explain_times(results, cells, by=by),
         ),
         digits=1,
     )
@@ -210,8 +218,11 @@ def _claim_separation(results, key, text, metric, target, asked):
         "m",
         _about(results, metric, [(cell, target) for cell in cells]),
         why=explanations.join(
-            explanations.explain_law_distances(results, *asked, cells),
             explanations.explain_studies(results, metric),
+            explanations.explain_law_distances(results, *asked, cells),
+            explanations.conclude_separation(
+                results, metric, asked[1], cells, target, TOLERANCE
+            ),
         ),
     )
 
@@ -299,6 +310,7 @@ def claim_productivity_over_lidar(results: Results) -> Claim:
             for s in ("tof", "ideal")
             for c in CONFIGURATIONS
         ],
+        by="configuration",
     )
 
 
@@ -353,6 +365,28 @@ def claim_vo_safer_than_vr(results: Results) -> Claim:
         "safety: Vo over Vr",
         "With each sensing Vo is safer than Vr.",
         [(make_cell(s, "vo"), make_cell(s, "vr")) for s in SENSINGS],
+    )
+
+
+def claim_vo_safer_than_sm(results: Results) -> Claim:
+    """Section IV: what directed speeds add to safety."""
+    return _claim_safety(
+        results,
+        "safety: Vo over SM",
+        "Directed speeds add to safety: with each sensing Vo is safer than "
+        "SM, which has fixed distances.",
+        [(make_cell(s, "vo"), make_cell(s, "sm")) for s in SENSINGS],
+    )
+
+
+def claim_vo_more_productive_than_sm(results: Results) -> Claim:
+    """Section IV: what directed speeds add to productivity."""
+    return _claim_productivity(
+        results,
+        "productivity: Vo over SM",
+        "Directed speeds add to productivity: with each sensing Vo is more "
+        "productive than SM, which has fixed distances.",
+        [(make_cell(s, "vo"), make_cell(s, "sm")) for s in SENSINGS],
     )
 
 
@@ -493,6 +527,31 @@ def claim_time_to_reduce(results: Results) -> Claim:
     )
 
 
+def claim_vo_best_times(results: Results) -> Claim:
+    """Fig. 12 (b): Vo gives the best results."""
+    pairs = [
+        (make_cell(s, "vo"), make_cell(s, c))
+        for s in SENSINGS
+        for c in ("vr", "sm")
+    ]
+    evidence = [
+        dc.replace(e, what=f"{name}: {e.what}")
+        for name, metric in (
+            ("to stop", "time_to_stop_s"),
+            ("to reduce", "time_to_reduce_s"),
+        )
+        for e in _compare(results, metric, pairs, least=True)
+    ]
+    return _claim(
+        "times: Vo best",
+        "Vo gives the best results: with each sensing it takes the least "
+        "time to stop and to slow down.",
+        "s",
+        evidence,
+        why=explanations.explain_ramps(results),
+    )
+
+
 def claim_velocity_change(results: Results) -> Claim:
     """Fig. 12 (c): stops from the highest speed."""
     return _claim(
@@ -552,9 +611,36 @@ def claim_lidar_conservative(results: Results) -> Claim:
                 for c in CONFIGURATIONS
             ],
         ),
-        why=explanations.explain_law_distances(
-            results, *_AT_STOP, make_cells()
+        why=explanations.join(
+            explanations.explain_law_distances(
+                results, *_AT_STOP, make_cells()
+            ),
+            explanations.conclude_lidar(results),
         ),
+    )
+
+
+def claim_vo_smoother(results: Results) -> Claim:
+    """Section V: relative speeds make the movement smoother."""
+    return _claim(
+        "smoothness: Vo",
+        "Relative speeds give more consistent and smoother movement: with "
+        "each sensing Vo changes its state less often than Vr and SM.",
+        "changes per episode",
+        _compare(
+            results,
+            "state_changes_per_episode",
+            [
+                (make_cell(s, "vo"), make_cell(s, c))
+                for s in SENSINGS
+                for c in ("vr", "sm")
+            ],
+            least=True,
+        ),
+        "An episode lasts from leaving the normal state until the robot is "
+        "back in it for half a second.",
+        why=explanations.explain_chatter(results),
+        digits=2,
     )
 
 
@@ -589,6 +675,8 @@ CLAIMS: tuple[Callable[[Results], Claim], ...] = (
     claim_vr_less_safe,
     claim_vo_ideal_safest,
     claim_vo_safer_than_vr,
+    claim_vo_safer_than_sm,
+    claim_vo_more_productive_than_sm,
     claim_lidar_less_safe,
     claim_real_less_safe_than_ideal,
     claim_fastest_reaction,
@@ -596,10 +684,12 @@ CLAIMS: tuple[Callable[[Results], Claim], ...] = (
     claim_real_reacts_before_ideal,
     claim_time_to_stop,
     claim_time_to_reduce,
+    claim_vo_best_times,
     claim_velocity_change,
     claim_separation_at_stop,
     claim_separation_at_reduce,
     claim_lidar_conservative,
+    claim_vo_smoother,
     claim_sixteen,
 )
 """All claims in the order in which the paper makes them."""

@@ -108,14 +108,55 @@ def explain_errors(results: Results) -> str:
     )
 
 
-def explain_times(results: Results, cells: list[Cell]) -> str:
-    """Tells for how long the robot was stopped and slowed."""
+def explain_times(
+    results: Results, cells: list[Cell], *, by: str = "sensing"
+) -> str:
+    """Tells for how long the robot was stopped and slowed, and which cost it.
+
+    At half speed half of the time is lost.
+
+    Args:
+        results: Of the campaign.
+        cells: Those that are compared.
+        by: What those have in common that are compared with each other:
+            sensing or configuration.
+    """
+    groups = {}
+    for cell in cells:
+        groups.setdefault(getattr(cell, by), []).append(cell)
     return join(
         _tell_means(
             results, "Time stopped per run (s)", "stopped_s", cells, digits=1
         ),
         _tell_means(results, "At half speed (s)", "reduced_s", cells, digits=1),
+        *(_conclude_times(results, group) for group in groups.values()),
     )
+
+
+def _conclude_times(results, cells):
+    """Tells what sets the most productive of some cells apart."""
+    productivity = _get_means(results, "productivity", cells)
+    stopped = _get_means(results, "stopped_s", cells)
+    reduced = _get_means(results, "reduced_s", cells)
+    known = [c for c in productivity if c in stopped and c in reduced]
+    if len(known) < 2:
+        return ""
+    best = max(known, key=productivity.get)
+    worst = min(known, key=productivity.get)
+    by_stops = stopped[worst] - stopped[best]
+    by_slowness = 0.5 * (reduced[worst] - reduced[best])
+    head = f"So {best.label} is more productive than {worst.label} "
+    if by_stops + by_slowness <= 0.0:
+        return head + "though it loses no less time: not for these times."
+    cause = "stops" if by_stops >= by_slowness else "slow movement"
+    return head + (
+        f"mostly by its {cause}: it loses {_compare(by_stops)} to stops and "
+        f"{_compare(by_slowness)} to slow movement."
+    )
+
+
+def _compare(saved):
+    return f"{abs(saved):.1f} s {'more' if saved < 0.0 else 'less'}"
 
 
 def explain_standing(results: Results, cells: list[Cell], metric: str) -> str:
@@ -286,15 +327,67 @@ def explain_ramps(results: Results) -> str:
 
 
 def explain_slowing(results: Results) -> str:
-    """Tells the times to slow down themselves, not only their differences."""
-    return _tell_means(
-        results, "Mean time to reduce (s)", "time_to_reduce_s", make_cells()
+    """Tells whether who takes longest to slow down had run the longest."""
+    cells = make_cells()
+    normal = _get_means(results, "normal_s", cells)
+    count = _get_means(results, "reduce_events", cells)
+    stretch = {c: normal[c] / count[c] for c in normal if count.get(c)}
+    listed = ", ".join(f"{c.label} {_format(s, 1)}" for c, s in stretch.items())
+    return join(
+        _tell_means(
+            results, "Mean time to reduce (s)", "time_to_reduce_s", cells
+        ),
+        _tell("Time in the normal state per change to reduced (s)", listed),
+        _conclude_greatest(
+            _get_means(results, "time_to_reduce_s", cells),
+            stretch,
+            "takes longest to slow down",
+            "is in the normal state for longest between, so it is more often "
+            "back at full speed when it has to slow down",
+            "it is not in the normal state for longest between, so something "
+            "else makes it take longest",
+        ),
+    )
+
+
+def _conclude_greatest(effect, cause, what, agrees, differs):
+    """Tells with which sensings the greatest effect goes with a cause.
+
+    Args:
+        effect: Mean by cell.
+        cause: Likewise, greater where more of the effect is expected.
+        what: What the cell with the greatest effect does.
+        agrees: What is so of that cell if it has the greatest cause.
+        differs: Sentence for the others.
+    """
+    yes, no = [], []
+    for s in SENSINGS:
+        cells = [c for c in make_cells((s,)) if c in effect and c in cause]
+        if len(cells) < 2:
+            continue
+        top = max(cells, key=effect.get)
+        side = yes if cause[top] >= max(cause[c] for c in cells) else no
+        side.append(top.label)
+    return join(
+        _tell(
+            f"So the configuration that {what} with its sensing {agrees}",
+            ", ".join(yes),
+        ),
+        _tell(
+            f"{'But there' if yes else 'So there'} is one that {what} though "
+            f"{differs}",
+            ", ".join(no),
+        ),
     )
 
 
 def explain_speeds(results: Results) -> str:
-    """Tells how fast the tool was at a stop, and how often it was slowed."""
+    """Tells whether who stops from the highest speed had run the longest."""
     cells = make_cells()
+    normal = _get_means(results, "normal_s", cells)
+    stops = _get_means(results, "stop_events", cells)
+    stretch = {c: normal[c] / stops[c] for c in normal if stops.get(c)}
+    listed = ", ".join(f"{c.label} {_format(s, 1)}" for c, s in stretch.items())
     return join(
         _tell_means(
             results,
@@ -310,6 +403,114 @@ def explain_speeds(results: Results) -> str:
             digits=1,
         ),
         _tell_means(results, "Changes to stop", "stop_events", cells, digits=1),
+        _tell("Time in the normal state per stop (s)", listed),
+        _conclude_greatest(
+            _get_means(results, "velocity_change_at_stop_mps", cells),
+            stretch,
+            "has the largest velocity change",
+            "is in the normal state for longest per stop, so it is more often "
+            "at full speed when it has to stop",
+            "it is not in the normal state for longest per stop, so something "
+            "else makes the change largest",
+        ),
+    )
+
+
+def explain_chatter(results: Results) -> str:
+    """Tells whether many changes go with many or with long episodes."""
+    cells = make_cells()
+    return join(
+        _tell_means(
+            results,
+            "Changes of state per episode",
+            "state_changes_per_episode",
+            cells,
+        ),
+        _tell_means(
+            results, "Episodes per run", "slow_episodes", cells, digits=1
+        ),
+        _conclude_greatest(
+            _get_means(results, "state_changes_per_episode", cells),
+            _get_means(results, "false_events", cells),
+            "changes its state most often per episode",
+            "has the most stops without an approach, so it reacts to what is "
+            "no approach",
+            "it has not the most stops without an approach, so its changes "
+            "come from the law's distances while the person is near",
+        ),
+    )
+
+
+def conclude_separation(
+    results: Results,
+    metric: str,
+    asked: str,
+    cells: list[Cell],
+    target: float,
+    tolerance: float,
+) -> str:
+    """Tells whether the law itself asks for another separation.
+
+    Args:
+        results: Of the campaign.
+        metric: Column of the separation.
+        asked: Column of the distance that the law asks for at that time.
+        cells: Those that are compared.
+        target: What the paper reports, m.
+        tolerance: What "about" means, as a fraction.
+    """
+    kept = _get_means(results, metric, cells)
+    wanted = _get_means(results, asked, cells)
+
+    def find_side(value):
+        """-1, 0, 1: less, about the target, more."""
+        off = value - target
+        return 0 if abs(off) <= tolerance * target else 1 if off > 0 else -1
+
+    known = [cell for cell in kept if cell in wanted]
+    off = [cell for cell in known if find_side(kept[cell])]
+    if not known:
+        return ""
+    if not off:
+        return (
+            f"So the means are about {target:g} m, and only their intervals "
+            "are too wide to be sure."
+        )
+    law = [c for c in off if find_side(wanted[c]) == find_side(kept[c])]
+    rest = [cell for cell in off if cell not in law]
+    return join(
+        f"So it is the law itself that asks for another distance than "
+        f"{target:g} m with {_name(law)}."
+        if law
+        else "",
+        f"The law does not ask for that with {_name(rest)}: there it comes "
+        "from where the distance is measured and how late."
+        if rest
+        else "",
+    )
+
+
+def conclude_lidar(results: Results) -> str:
+    """Tells whether the law asks for more distance with the Lidar."""
+    wanted = _get_means(results, "d_C_at_stop_m", make_cells())
+    pairs = [
+        (make_cell("lidar", c), make_cell(s, c))
+        for s in ("tof", "ideal")
+        for c in CONFIGURATIONS
+    ]
+    known = [pair for pair in pairs if set(pair) <= set(wanted)]
+    more = [pair for pair in known if wanted[pair[0]] > wanted[pair[1]]]
+    if not known:
+        return ""
+    rest = [f"{a.label} than {b.label}" for a, b in known if (a, b) not in more]
+    return join(
+        f"So the law asks for more with the Lidar in {len(more)} of "
+        f"{len(known)} comparisons, as the workspace's radius is in it: what "
+        "is left of that between the surfaces depends on how far the arm "
+        "reaches out."
+        if more
+        else "So the law does not ask for more with the Lidar.",
+        _tell("It asks for no more with", ", ".join(rest)) if more else "",
     )
 
 
@@ -358,8 +559,13 @@ def explain_studies(
             changed.append(f"{cell.label} {change}")
     if not count:
         return ""
-    return _tell(
-        f"Of {count} cells with something changed, these differ with 95 % "
-        "confidence",
-        ", ".join(changed) or "none",
+    return join(
+        _tell(
+            f"Of {count} cells with something changed, these differ with 95 % "
+            "confidence",
+            ", ".join(changed) or "none",
+        ),
+        "So what was changed there matters to this number."
+        if changed
+        else "So nothing that was changed there is the cause.",
     )

@@ -1,9 +1,12 @@
 """What the reports have in common: templates, look, pictures."""
 
 import dataclasses as dc
+import html
 import importlib.resources
+import re
 
 import jinja2
+from jinja2.filters import do_mark_safe
 
 from tofssm_drake.evaluation import figures
 
@@ -33,6 +36,20 @@ def make_picture(make, description: str, *args, **options) -> Picture:
     )
 
 
+_SYMBOL = re.compile(r"\b([A-Za-z]|alpha|rho)_([A-Za-z]{1,5})\b")
+_GREEK = {"alpha": "\u03b1", "rho": "\u03c1"}
+
+
+def write_symbols(text: str) -> str:
+    """Returns HTML of a text: symbols like `T_stop` as one reads them."""
+
+    def write(match):
+        base, index = match.groups()
+        return f"{_GREEK.get(base, base)}<sub>{index}</sub>"
+
+    return do_mark_safe(_SYMBOL.sub(write, html.escape(text)))
+
+
 def render_page(template: str, **values) -> str:
     """Returns a page as one HTML document that needs no other file.
 
@@ -50,4 +67,5 @@ def render_page(template: str, **values) -> str:
         lstrip_blocks=True,
         undefined=jinja2.StrictUndefined,
     )
+    environment.filters["symbols"] = write_symbols
     return environment.get_template(template).render(**values).lstrip()

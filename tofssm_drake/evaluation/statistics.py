@@ -7,6 +7,8 @@ import math
 import numpy as np
 
 CONFIDENCE = 0.95
+# Values that are no farther apart are equal but for rounding.
+_ROUNDING = 1e-9
 
 
 @dc.dataclass(frozen=True, kw_only=True)
@@ -16,7 +18,9 @@ class Estimate:
     mean: float
     """NaN: there was no value."""
     half_width: float
-    """Of the 95 % confidence interval; NaN: fewer than two values."""
+    """Of the 95 % confidence interval; NaN: there is none, because there are
+    fewer than two values or all are equal. A few equal values, as counts often
+    are, do not make a mean certain."""
     count: int
     """Values it is made from."""
 
@@ -78,7 +82,7 @@ def calc_estimate(values) -> Estimate:
         values: (n,) numbers.
 
     Returns:
-        The mean with Student's 95 % confidence interval.
+        The mean with Student's 95 % confidence interval, if there is one.
     """
     values = np.asarray(list(values), dtype=float)
     values = values[np.isfinite(values)]
@@ -86,7 +90,7 @@ def calc_estimate(values) -> Estimate:
     if not n:
         return Estimate(mean=math.nan, half_width=math.nan, count=0)
     half_width = math.nan
-    if n > 1:
+    if n > 1 and np.ptp(values) > _ROUNDING * max(1.0, np.abs(values).max()):
         error = float(values.std(ddof=1)) / math.sqrt(n)
         half_width = calc_t_quantile(n - 1) * error
     return Estimate(mean=float(values.mean()), half_width=half_width, count=n)
