@@ -40,7 +40,10 @@ def replay_record(reader: RunReader) -> ReplayResult:
             Scenario(), yaml.safe_dump(run["scenario"]), source="the record"
         ),
         virtual_rings=run["virtual_rings"],
-        slider=SliderConfig(minimum_fraction=run["minimum_fraction"]),
+        slider=SliderConfig(
+            minimum_fraction=run["minimum_fraction"],
+            operator_limit=run.get("slider_limit"),
+        ),
     )
     ticks = differences = 0
     first, end_time = "", 0.0

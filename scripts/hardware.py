@@ -104,6 +104,13 @@ def hardware(
         float,
         typer.Option(help="Where a stop leaves the slider, 0 to 0.1."),
     ] = 0.0,
+    slider_limit: Annotated[
+        float | None,
+        typer.Option(
+            help="Up to where the slider may go, until a person moves it. "
+            "Without it no further than where it stands at the start.",
+        ),
+    ] = None,
     control_period: Annotated[
         float | None,
         typer.Option(
@@ -177,6 +184,7 @@ def hardware(
     slider = SliderConfig(
         minimum_fraction=minimum_fraction,
         reduced_fraction=scenario.ssm.rho_reduced,
+        operator_limit=slider_limit,
     )
     slider.check("slider")
     robot_config = RtdeConfig(
@@ -186,6 +194,7 @@ def hardware(
     run_options = {
         "virtual_rings": is_virtual,
         "minimum_fraction": minimum_fraction,
+        "slider_limit": slider_limit,
         "dry_run": dry_run,
         "command": shlex.join(["tofssm", *sys.argv[1:]]),
     }
