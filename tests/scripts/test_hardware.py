@@ -158,6 +158,15 @@ class TestHardware(unittest.TestCase):
         code, out = run_replay(path)
         self.assertEqual(code, 1)
         self.assertIn("robot_state 2, was 1", out)
+        self.assertRegex(out, "the record is damaged: the checksum of its")
+        # Cut off, as of a process that was killed.
+        path.write_bytes(data[: len(data) * 2 // 3])
+        code, out = run_replay(path)
+        self.assertEqual(code, 0)
+        self.assertIn("all states as recorded", out)
+        self.assertIn("the record is incomplete: it ends in the midst", out)
+        path.write_bytes(data.replace(b'"heartbeat":20', b'"heartbeaT":20'))
+        self.assertEqual(run_replay(path)[0], 1)
 
     def test_dry_run_writes_nothing(self):
         path = self.folder / "run.mcap"
