@@ -28,7 +28,10 @@ from tofssm_drake.diagrams.scenario import (
 )
 from tofssm_drake.diagrams.simulation import Progress
 from tofssm_drake.errors import UserError, require
-from tofssm_drake.hardware.ring_address import parse_ring_address
+from tofssm_drake.hardware.ring_address import (
+    parse_ring_address,
+    require_distinct,
+)
 from tofssm_drake.hardware.ring_link import RingLink
 from tofssm_drake.hardware.ring_receiver import RingDecoder, RingLinkConfig
 from tofssm_drake.hardware.robot_connection import RtdeStatus
@@ -171,6 +174,7 @@ def hardware(
         if is_virtual
         else [parse_ring_address(r, allow_remote=allow_remote) for r in rings]
     )
+    require_distinct(addresses)
     scenario = load_scenario(
         filename=scenario_file, name=scenario_name, text=scenario_text
     )
