@@ -204,10 +204,11 @@ def hardware(
     run_options = {
         "virtual_rings": is_virtual,
         "minimum_fraction": minimum_fraction,
-        "slider_limit": slider_limit,
         "dry_run": dry_run,
         "command": shlex.join(["tofssm", *sys.argv[1:]]),
     }
+    if slider_limit is not None:
+        run_options["slider_limit"] = slider_limit
     with contextlib.ExitStack() as stack:
         # Nothing may end the process before 0 has been sent.
         stopped = stack.enter_context(catch_stop(until_end=True))
