@@ -40,7 +40,10 @@ def replay_record(reader: RunReader) -> ReplayResult:
             Scenario(), yaml.safe_dump(run["scenario"]), source="the record"
         ),
         virtual_rings=run["virtual_rings"],
-        slider=SliderConfig(minimum_fraction=run["minimum_fraction"]),
+        slider=SliderConfig(
+            minimum_fraction=run["minimum_fraction"],
+            operator_limit=run.get("slider_limit"),
+        ),
     )
     ticks = differences = 0
     first, end_time = "", 0.0
@@ -57,12 +60,12 @@ def replay_record(reader: RunReader) -> ReplayResult:
         end_time = tick.time
         now = describe_state(result) | vars(result.slider.command)
         then = tick.state | vars(tick.command)
-        changed = [name for name in then if now[name] != then[name]]
+        changed = [name for name in then if now.get(name) != then[name]]
         if changed:
             differences += 1
             first = first or (
                 f"first at {tick.time:.3f} s: "
-                + ", ".join(f"{n} {now[n]}, was {then[n]}" for n in changed)
+                + ", ".join(f"{n} {now.get(n)}, was {then[n]}" for n in changed)
             )
     return ReplayResult(
         ticks=ticks, end_time=end_time, differences=differences, first=first

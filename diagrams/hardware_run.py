@@ -140,6 +140,19 @@ def wait_for_robot(
     return _wait(has_reported, find_problem, timeout, tell, is_stopped)
 
 
+def require_control_period(control_period: float | None) -> None:
+    """Raises UserError if no robot could make such ticks.
+
+    Args:
+        control_period: Control tick that the user wants, s; None: any.
+    """
+    require(
+        control_period is None or 0.001 <= control_period <= 0.1,
+        "--control-period: must be from 0.001 to 0.1 s, got "
+        f"{control_period!r}",
+    )
+
+
 def set_control_period(
     scenario: Scenario, *, frequency: float, control_period: float | None
 ) -> None:
@@ -154,6 +167,7 @@ def set_control_period(
     Raises:
         UserError: The reports can not make such ticks.
     """
+    require_control_period(control_period)
     period = 1.0 / frequency
     if control_period is not None:
         ticks = control_period / period

@@ -16,6 +16,7 @@ from tofssm_drake.diagrams.hardware_loop import HardwareLoop, TickResult
 from tofssm_drake.diagrams.hardware_run import (
     HardwareRun,
     keep_interpreter_quiet,
+    require_control_period,
     require_ready,
     set_control_period,
     wait_for_robot,
@@ -27,7 +28,10 @@ from tofssm_drake.diagrams.scenario import (
 )
 from tofssm_drake.diagrams.simulation import Progress
 from tofssm_drake.errors import UserError, require
-from tofssm_drake.hardware.ring_address import parse_ring_address
+from tofssm_drake.hardware.ring_address import (
+    parse_ring_address,
+    require_distinct,
+)
 from tofssm_drake.hardware.ring_link import RingLink
 from tofssm_drake.hardware.ring_receiver import RingDecoder, RingLinkConfig
 from tofssm_drake.hardware.robot_connection import RtdeStatus
@@ -38,6 +42,7 @@ from tofssm_drake.scripts.hardware_status import HardwareStatus
 import tofssm_drake.scripts.options as options
 from tofssm_drake.scripts.simulate import (
     catch_stop,
+    interrupt_on_stop,
     make_display,
     make_folder,
     override,
@@ -46,8 +51,11 @@ from tofssm_drake.scripts.simulate import (
 )
 
 _VIRTUAL = "virtual"
+_TOO_EARLY = "interrupted before the start"
 # An echo of the slider below that is 0.
 _AT_ZERO = 0.005
+# So long a refusal waits for a robot that it may put to 0, s.
+_RECONNECT = 1.0
 
 _console = Console(stderr=True, highlight=False)
 
@@ -104,6 +112,13 @@ def hardware(
         float,
         typer.Option(help="Where a stop leaves the slider, 0 to 0.1."),
     ] = 0.0,
+    slider_limit: Annotated[
+        float | None,
+        typer.Option(
+            help="Up to where the slider may go, until a person moves it. "
+            "Without it no further than where it stands at the start.",
+        ),
+    ] = None,
     control_period: Annotated[
         float | None,
         typer.Option(
@@ -148,6 +163,7 @@ def hardware(
         f"--wait: must be above 0 and at most 3600 s, got {wait:g}",
     )
     require(duration >= 0.0, f"--duration: must be 0 or more, got {duration:g}")
+    require_control_period(control_period)
     is_virtual = rings == [_VIRTUAL]
     require(
         is_virtual or _VIRTUAL not in rings,
@@ -158,6 +174,7 @@ def hardware(
         if is_virtual
         else [parse_ring_address(r, allow_remote=allow_remote) for r in rings]
     )
+    require_distinct(addresses)
     scenario = load_scenario(
         filename=scenario_file, name=scenario_name, text=scenario_text
     )
@@ -177,6 +194,7 @@ def hardware(
     slider = SliderConfig(
         minimum_fraction=minimum_fraction,
         reduced_fraction=scenario.ssm.rho_reduced,
+        operator_limit=slider_limit,
     )
     slider.check("slider")
     robot_config = RtdeConfig(
@@ -189,10 +207,17 @@ def hardware(
         "dry_run": dry_run,
         "command": shlex.join(["tofssm", *sys.argv[1:]]),
     }
-    if out is not None:
-        make_folder(out)
+    if slider_limit is not None:
+        run_options["slider_limit"] = slider_limit
     with contextlib.ExitStack() as stack:
-        stopped = stack.enter_context(catch_stop())
+        # Nothing may end the process before 0 has been sent.
+        stopped = stack.enter_context(catch_stop(until_end=True))
+        with interrupt_on_stop(stopped, _TOO_EARLY):
+            # Once in vain: what can not be made must not be found out after
+            # a robot was stopped for it, nor may it wait for a compiler.
+            HardwareLoop(scenario=scenario, virtual_rings=is_virtual)
+        if out is not None:
+            make_folder(out)
         recorder = None
         if record is not None:
             recorder = stack.enter_context(RunRecorder(record))
@@ -215,14 +240,14 @@ def hardware(
         )
         # Closed first of all: that puts the slider to 0.
         stack.enter_context(robot)
+        stack.enter_context(_tell_slider(robot, dry_run))
         waiting = {
             "timeout": wait,
             "tell": _console.print,
             "is_stopped": lambda: bool(stopped),
         }
         if not wait_for_robot(robot, **waiting):
-            print("interrupted before the start")
-            return 130
+            raise KeyboardInterrupt(_TOO_EARLY)
         status = robot.get_status()
         set_control_period(
             scenario,
@@ -236,14 +261,15 @@ def hardware(
         display = make_display() if meshcat else None
         if display is not None:
             print(f"watch at {display.web_url()}", flush=True)
-        loop = HardwareLoop(
-            scenario=scenario,
-            virtual_rings=is_virtual,
-            send=None if dry_run else robot.send,
-            slider=slider,
-            meshcat=display,
-            with_samples=out is not None,
-        )
+        with interrupt_on_stop(stopped, _TOO_EARLY):
+            loop = HardwareLoop(
+                scenario=scenario,
+                virtual_rings=is_virtual,
+                send=None if dry_run else robot.send,
+                slider=slider,
+                meshcat=display,
+                with_samples=out is not None,
+            )
         stack.enter_context(keep_interpreter_quiet())
         run = HardwareRun(
             loop=loop,
@@ -254,8 +280,7 @@ def hardware(
         )
         first = run.wait(**waiting)
         if first is None:
-            print("interrupted before the start")
-            return 130
+            raise KeyboardInterrupt(_TOO_EARLY)
         require_ready(
             first,
             scenario,
@@ -265,7 +290,10 @@ def hardware(
         _console.print(describe_robot(status, scenario.control_period))
         end = _run(run, robot, link, stopped, duration, dry_run)
         robot.close()
-    print(f"{end.reason}; {_describe_slider(robot, dry_run)}", flush=True)
+        # The terminal may be gone.
+        with contextlib.suppress(OSError):
+            print(f"{end.reason}; {_describe_slider(robot, dry_run)}")
+            sys.stdout.flush()
     if out is not None and end.result is not None:
         _write_report(
             loop,
@@ -335,6 +363,25 @@ def describe_robot(status: RtdeStatus, control_period: float) -> str:
         f"robot: software {version}, {status.frequency:g} Hz; control tick "
         f"{1e3 * control_period:g} ms"
     )
+
+
+@contextlib.contextmanager
+def _tell_slider(robot, dry_run):
+    """Adds what became of the slider to what ends a run before its start."""
+    try:
+        yield
+    except (UserError, KeyboardInterrupt) as error:
+        if robot.get_report().sequence < 0:
+            # There was no robot.
+            raise
+        # While the twin was made the connection may have been lost.
+        robot.wait_for_report(
+            after=robot.get_report().sequence, timeout=_RECONNECT
+        )
+        robot.close()
+        raise type(error)(
+            f"{error}; {_describe_slider(robot, dry_run)}"
+        ) from None
 
 
 def _describe_slider(robot, dry_run):

@@ -58,7 +58,7 @@ def hardware_demo(
     scenario = f"{{program: {{products: {products}}}}}"
     robot_port, ring_port = _find_port(socket.SOCK_STREAM), _find_port()
     with (
-        catch_stop() as stopped,
+        catch_stop(until_end=True) as stopped,
         tempfile.TemporaryDirectory() as folder,
         _start(
             *("simulated-ur", "--host", _HOST, "--port", robot_port),

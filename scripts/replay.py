@@ -21,12 +21,18 @@ def replay(
 ) -> int:
     """Run the monitor on a record, and compare all that it says.
 
-    The exit code is 1 if it says something else than it did then.
+    The exit code is 1 if it says something else than it did then, or if the
+    record is damaged. One that ends too early, as of a process that was
+    killed, is replayed as far as it goes.
     """
-    result = replay_record(RunReader(file))
+    reader = RunReader(file)
+    result = replay_record(reader)
     line = f"{result.ticks} ticks, {result.end_time:.2f} s, "
     if not result.differences:
         print(f"{line}all states as recorded")
-        return 0
-    print(f"{line}{result.differences} differ; {result.first}")
-    return 1
+    else:
+        print(f"{line}{result.differences} differ; {result.first}")
+    if reader.problem:
+        how = "damaged" if reader.is_damaged else "incomplete"
+        print(f"the record is {how}: {reader.problem}")
+    return int(bool(result.differences) or reader.is_damaged)

@@ -317,28 +317,70 @@ def make_folder(folder: Path) -> None:
 
 
 @contextlib.contextmanager
-def catch_stop():
-    """Turns Ctrl-C and SIGTERM into a flag, so that no row is torn apart.
+def catch_stop(*, until_end: bool = False):
+    """Turns Ctrl-C, SIGTERM and SIGHUP into a flag: no row is torn apart.
+
+    SIGHUP is what a terminal that is closed sends; one that is ignored
+    (`nohup`) stays so.
+
+    Args:
+        until_end: Whether further signals are caught, too, until the end of
+            the block. Else a second one is not.
 
     Yields:
-        A list that is empty until the signal came. A second Ctrl-C is not
-        caught.
+        A list that is empty until the signal came.
     """
     stopped = []
 
     def stop(number, frame):
         stopped.append(number)
-        signal.signal(number, previous[number])
+        if not until_end:
+            signal.signal(number, previous[number])
 
-    previous = {
-        number: signal.signal(number, stop)
-        for number in (signal.SIGINT, signal.SIGTERM)
-    }
+    previous = _handle_stop(stop)
     try:
         yield stopped
     finally:
         for number, handler in previous.items():
             signal.signal(number, handler)
+
+
+@contextlib.contextmanager
+def interrupt_on_stop(stopped: list, message: str):
+    """Lets the signals of `catch_stop` interrupt what takes long.
+
+    Args:
+        stopped: What `catch_stop` gave.
+        message: Of the KeyboardInterrupt that is raised.
+    """
+
+    def interrupt(number, frame):
+        stopped.append(number)
+        # Another one must not disturb what the first has begun.
+        if len(stopped) == 1:
+            raise KeyboardInterrupt
+
+    previous = _handle_stop(interrupt)
+    try:
+        yield
+    except BaseException:
+        # A compiler in the midst of it may make another exception of it.
+        if not stopped:
+            raise
+    finally:
+        for number, handler in previous.items():
+            signal.signal(number, handler)
+    if stopped:
+        raise KeyboardInterrupt(message)
+
+
+def _handle_stop(handler):
+    """Sets a handler and returns those before, by signal."""
+    return {
+        number: signal.signal(number, handler)
+        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+        if signal.getsignal(number) != signal.SIG_IGN
+    }
 
 
 def run(

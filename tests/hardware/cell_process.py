@@ -234,7 +234,8 @@ class CellProcess:
         return self._start(
             *("hardware", "--robot-host", self.host),
             *("--rings", self.address, "--scenario-text", NOBODY),
-            *("--any-pose", "--wait", _PATIENCE, *options),
+            *("--any-pose", "--wait", _PATIENCE, "--slider-limit", 1),
+            *options,
             **settings,
         )
 

@@ -45,6 +45,47 @@ class TestParseRingAddress(unittest.TestCase):
         with self.assertRaisesRegex(UserError, "who sends"):
             mut.parse_ring_address("udp://0.0.0.0:5005", allow_remote=True)
 
+    def test_broadcasts_are_refused(self):
+        with mock.patch.object(
+            mut, "find_broadcast_address", lambda name: "192.168.1.255"
+        ):
+            for host in (
+                "255.255.255.255",
+                "192.168.1.255",
+                "127.255.255.255",
+            ):
+                for allow_remote in (False, True):
+                    with (
+                        self.subTest(host=host),
+                        self.assertRaisesRegex(UserError, "for broadcasts"),
+                    ):
+                        mut.parse_ring_address(
+                            f"udp://{host}:5005?from=10.0.0.2",
+                            allow_remote=allow_remote,
+                        )
+            # Of a larger network.
+            mut.parse_ring_address("udp://192.168.2.255:5?from=10.0.0.2")
+
+    def test_asks_the_system_for_broadcasts(self):
+        for name in mut.list_interfaces():
+            found = mut.find_broadcast_address(name)
+            self.assertRegex(found, r"^$|^\d+\.\d+\.\d+\.\d+$")
+            self.assertNotEqual(found, "127.0.0.1")
+        self.assertEqual(mut.find_broadcast_address("none"), "")
+
+    def test_one_port_twice(self):
+        first, second, third = (
+            mut.parse_ring_address(text)
+            for text in (
+                "udp://127.0.0.1:5005",
+                "udp://127.0.0.1:5005?from=127.0.0.2",
+                "udp://127.0.0.1:5006",
+            )
+        )
+        mut.require_distinct([first, third])
+        with self.assertRaisesRegex(UserError, "127.0.0.1:5005 is there twice"):
+            mut.require_distinct([first, third, second])
+
     def test_named_interface(self):
         self.assertEqual(
             mut.parse_ring_address("udp://lo:5005"),

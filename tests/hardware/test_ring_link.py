@@ -176,6 +176,16 @@ class TestUdp(LinkTest):
         with self.assertRaisesRegex(UserError, "listen there: No such device"):
             self.open_link(dc.replace(self.address, interface="none0"))
 
+    def test_two_devices_with_one_number_are_told(self):
+        link = mut.LoopbackRingLink(decoder=make_decoder())
+        for i in range(200):
+            for sequence in (1000 + i, i):
+                data = encode_frame(make_example(1, sequence))
+                link.put_datagram(data, 100.0 + 0.001 * i)
+        status = link.get_status()
+        self.assertEqual(status.error, "two devices have the number of elbow")
+        self.assertIn("two devices", status.describe(101.0))
+
     def test_damage_is_counted(self):
         link = self.open_link(self.address)
         sender = self.open_sender()
@@ -189,6 +199,11 @@ class TestUdp(LinkTest):
         status = link.get_status()
         self.assertEqual(status.corrupt, 6)
         self.assertEqual(status.unknown, 1)
+
+    def test_a_port_that_is_there_twice_is_told(self):
+        other = dc.replace(self.address, senders=("127.0.0.2",))
+        with self.assertRaisesRegex(UserError, "is there twice"):
+            self.open_link(self.address, other)
 
     def test_a_port_in_use_is_told(self):
         self.open_link(self.address)
@@ -307,6 +322,12 @@ class TestSerial(LinkTest):
     def test_a_missing_line_is_told(self):
         with self.assertRaisesRegex(UserError, "can not open it: No such file"):
             self.open_link(SerialAddress(path="/dev/there-is-none"))
+
+    def test_what_is_no_line_is_told_plainly(self):
+        with self.assertRaisesRegex(
+            UserError, "^serial:///etc/passwd: .*: it is no serial line$"
+        ):
+            self.open_link(SerialAddress(path="/etc/passwd"))
 
     def test_a_line_that_is_in_use_is_told(self):
         sender, _ = self.open_line()

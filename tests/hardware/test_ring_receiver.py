@@ -135,6 +135,36 @@ class TestRingReceiver(unittest.TestCase):
             receiver.receive(frame, _HOST + 1.0 + _PERIOD * i)
         self.assertIs(receiver.scan, last)
 
+    def test_two_devices_with_one_number_are_a_fault(self):
+        """Whoever is followed: nobody knows which of them it is."""
+        for offset in (-1000, -5, 5, 1000):
+            receiver = make_receiver()
+            run(receiver, range(2000, 2100))
+            self.assertFalse(receiver.is_contested)
+            told = []
+            for k in range(2100, 2200):
+                told += run(receiver, [k])
+                scan = make_scan(k, seed=1)
+                frame = make_frame(
+                    dc.replace(scan, sequence=k + offset),
+                    ring=0,
+                    timing_budget=_BUDGET,
+                    clock=DeviceClock(start=_PERIOD * offset),
+                )
+                told.append(receiver.receive(frame, _HOST + scan.time + 0.004))
+            with self.subTest(offset=offset):
+                # Within a second; before, the clock may be unknown.
+                late = [scan for scan in told[-120:] if scan is not None]
+                self.assertGreater(len(late), 50)
+                for scan in late:
+                    np.testing.assert_array_equal(scan.status, 255)
+                self.assertTrue(receiver.is_contested)
+                self.assertGreater(receiver.counts.contested, 50)
+                # One of them is taken away.
+                last = run(receiver, range(3200, 3300))
+                self.assertFalse(receiver.is_contested)
+                np.testing.assert_array_equal(last[-1].status, 0)
+
     def test_restart_by_flag_and_by_going_back(self):
         for flags in (FLAG_RESTARTED, 0):
             receiver = make_receiver()

@@ -176,6 +176,21 @@ class TestStream(unittest.TestCase):
             self.assertEqual(dut.get_status().rejected, 5)
             self.assertEqual(dut.get_status().texts, 1)
 
+    def test_says_that_it_rejects_all_data(self):
+        class Server(OddServer):
+            def stream(self):
+                self.send(self.make_package(100.0, number=2))
+
+        with Server() as server, connect(server, reply_timeout=0.3) as dut:
+            for why in (
+                "data are rejected: data package of recipe 2: expected 1",
+                "no package for 0.1 s; data are rejected: data package of",
+            ):
+                self.assertTrue(
+                    wait_until(lambda why=why: why in dut.get_status().problem),
+                    dut.get_status(),
+                )
+
     def test_silence_and_frozen_clock_end_the_connection(self):
         class Silent(OddServer):
             pass

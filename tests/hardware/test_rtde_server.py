@@ -259,6 +259,66 @@ class TestInputs(TestServer):
         self.assertEqual(len(other.ask("v")), 16)
 
 
+class TestBadClients(TestServer):
+    """Whatever one of them does, the others are served."""
+
+    def assert_serves(self):
+        other = self.connect()
+        self.assertEqual(other.set_up(b"timestamp"), b"\x01DOUBLE")
+        other.ask("S")
+        self.assertEqual(other.receive()[0], ord("U"))
+        other.close()
+
+    def test_names_that_are_too_long(self):
+        names = b",".join([b"actual_q"] * 1500)
+        client = self.connect()
+        client.send(ord("O"), struct.pack(">d", 125.0) + names)
+        kind, payload = client.receive()
+        self.assertEqual(kind, PackageType.TEXT_MESSAGE)
+        self.assertIn("at most 2048", rtde.decode_text(payload).text)
+        client.send(ord("I"), names)
+        self.assertEqual(client.receive()[0], PackageType.TEXT_MESSAGE)
+        self.assertEqual(client.ask("S"), b"\x00")
+        # The longest that is allowed.
+        names = b",".join([b"actual_q"] * 227)
+        self.assertEqual(client.set_up(names)[:1], b"\x01")
+        client.ask("S")
+        kind, payload = client.receive()
+        self.assertEqual((kind, len(payload)), (ord("U"), 1 + 227 * 48))
+        self.assert_serves()
+
+    def test_inputs_that_do_not_belong_together(self):
+        client = self.connect()
+        reply = client.ask("I", b"standard_digital_output_mask")
+        self.assertEqual(reply, b"\x01UINT8")
+        client.send(ord("U"), b"\x01\xff")
+        with self.assertRaises((EOFError, ConnectionError)):
+            while client.receive() is not None:
+                pass
+        self.assert_serves()
+
+    def test_too_many(self):
+        first = self.connect()
+        for address in (self.server.address, self.server.dashboard_address):
+            sockets = []
+            for _ in range(120):
+                sockets.append(socket.create_connection(address, 5.0))
+                self.stack.callback(sockets[-1].close)
+            sockets[-1].settimeout(5.0)
+            with contextlib.suppress(ConnectionError):
+                self.assertEqual(sockets[-1].recv(1), b"")
+            self.assertEqual(first.set_up(b"timestamp"), b"\x01DOUBLE")
+            for connection in sockets:
+                connection.close()
+        deadline = time.monotonic() + 5.0
+        while True:
+            try:
+                self.assert_serves()
+                return
+            except (EOFError, ConnectionError):
+                self.assertLess(time.monotonic(), deadline)
+
+
 class TestStreams(TestServer):
     def test_a_slow_client_holds_up_nobody(self):
         slow, fast = self.connect(), self.connect()

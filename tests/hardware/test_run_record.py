@@ -102,6 +102,44 @@ class TestRunRecord(unittest.TestCase):
         self.assertGreater(counts[0], 5)
         self.assertLess(counts[0], 50)
 
+    def read_all(self):
+        reader = mut.RunReader(self.path)
+        count = len(list(reader.read_ticks()))
+        return count, reader.is_damaged, reader.problem
+
+    def test_tells_whether_it_is_whole(self):
+        self.write(50)
+        self.assertEqual(self.read_all(), (50, False, ""))
+        whole = self.path.read_bytes()
+        for size in range(len(whole) // 2, len(whole) - 1, 997):
+            self.path.write_bytes(whole[:size])
+            count, is_damaged, problem = self.read_all()
+            self.assertFalse(is_damaged, problem)
+            self.assertIn(f"in the midst, at byte {size}", problem)
+            if count < 50:
+                time_ = 0.008 * (count - 1)
+                self.assertIn(f"after the tick at {time_:.3f} s", problem)
+
+    def test_tells_where_it_is_damaged(self):
+        self.write(50)
+        whole = self.path.read_bytes()
+        middle = whole.index(b'"sequence":25,')
+        for changed, ticks in (
+            # One bit; no more JSON; no tick any more; no more MCAP.
+            (whole.replace(b'"time":0.2', b'"time":0.3', 1), 50),
+            (whole[:middle] + b"}" * 9 + whole[middle + 9 :], 25),
+            (whole.replace(b'"report":{', b'"reporT":{', 1), 0),
+            (whole[:middle] + bytes(9999) + whole[middle + 9999 :], 25),
+            # Something is missing in between.
+            (whole[:middle] + whole[middle + 5000 :], 25),
+        ):
+            self.assertNotEqual(changed, whole)
+            self.path.write_bytes(changed)
+            count, is_damaged, problem = self.read_all()
+            self.assertTrue(is_damaged)
+            self.assertNotEqual(problem, "")
+            self.assertEqual(count, ticks, problem)
+
     def test_others_can_read_it(self):
         self.write()
         with self.path.open("rb") as stream:

@@ -548,6 +548,88 @@ class TestSession(unittest.TestCase):
         self.assertIn("new session", states[1].reason)
         self.assertEqual(robot.slider, 0.8)
 
+    def reconnect(self, robot):
+        robot.session += 1
+        robot.queue.clear()
+
+    def test_what_a_person_allows_outlives_the_session(self):
+        robot = Robot()
+        state = settle(robot)
+        robot.slider = 0.3
+        state = run(robot, 0.8, cycles=50, state=state)[-1]
+        for _ in range(2):
+            self.reconnect(robot)
+            states = run(robot, 1.0, cycles=400, state=state)
+            state = states[-1]
+            written = [s.command.speed_fraction for s in states]
+            self.assertEqual(max(written), 0.3)
+            self.assertEqual(robot.slider, 0.3)
+            self.assertEqual(state.phase, SliderPhase.YIELDING)
+        # Who sets it higher meanwhile is not believed, afterwards he is.
+        robot.slider = 0.9
+        self.reconnect(robot)
+        state = run(robot, 1.0, cycles=400, state=state)[-1]
+        self.assertEqual(robot.slider, 0.3)
+        robot.slider = 1.0
+        run(robot, 1.0, cycles=400, state=state)
+        self.assertEqual(robot.slider, 1.0)
+
+    def test_lowered_while_there_was_no_connection(self):
+        robot = Robot()
+        state = settle(robot)
+        robot.slider = 0.2
+        self.reconnect(robot)
+        run(robot, 1.0, cycles=400, state=state)
+        self.assertEqual(robot.slider, 0.2)
+
+    def test_what_was_still_on_its_way_is_nobodys_hand(self):
+        robot = Robot(delay=4)
+        state = settle(robot, 0.5)
+        state = run(robot, 1.0, cycles=2, state=state)[-1]
+        self.assertEqual(robot.slider, 0.5)
+        self.reconnect(robot)
+        run(robot, 1.0, cycles=400, state=state)
+        self.assertEqual(robot.slider, 1.0)
+
+
+class TestLimit(unittest.TestCase):
+    """Where the slider stands at the start is what a person allows."""
+
+    def test_low_at_the_start(self):
+        robot = Robot(slider=0.1)
+        states = run(robot, 1.0, cycles=400)
+        self.assertEqual(max(s.command.speed_fraction for s in states), 0.1)
+        self.assertEqual(states[-1].phase, SliderPhase.YIELDING)
+        self.assertIn("set the slider to 0.10", states[-1].reason)
+        robot.slider = 1.0
+        run(robot, 1.0, cycles=400, state=states[-1])
+        self.assertEqual(robot.slider, 1.0)
+
+    def test_zero_says_what_to_do_and_gives_way(self):
+        robot = Robot(slider=0.0)
+        state = run(robot, 1.0, cycles=400)[-1]
+        self.assertEqual(robot.slider, 0.0)
+        self.assertEqual(state.phase, SliderPhase.YIELDING)
+        self.assertIn("stands at 0", state.reason)
+        self.assertIn("raise it on the pendant", state.reason)
+        robot.slider = 0.7
+        run(robot, 1.0, cycles=400, state=state)
+        self.assertEqual(robot.slider, 0.7)
+
+    def test_a_limit_that_is_given_counts_instead(self):
+        for slider, limit in ((0.0, 1.0), (0.1, 0.6), (1.0, 0.4)):
+            with self.subTest(slider=slider, limit=limit):
+                robot = Robot(slider=slider)
+                config = mut.SliderConfig(operator_limit=limit)
+                run(robot, 1.0, cycles=400, config=config)
+                self.assertEqual(robot.slider, limit)
+
+    def test_a_person_is_not_minded_if_so_asked(self):
+        robot = Robot(slider=0.1)
+        config = mut.SliderConfig(yield_to_operator=False)
+        run(robot, 1.0, cycles=400, config=config)
+        self.assertEqual(robot.slider, 1.0)
+
 
 class TestConfig(unittest.TestCase):
     def test_settings_are_checked(self):
@@ -561,6 +643,8 @@ class TestConfig(unittest.TestCase):
             ({"reduced_fraction": 1.0}, "slider.reduced_fraction"),
             ({"reduced_fraction": 0.0}, "slider.reduced_fraction"),
             ({"recovery_time": -1.0}, "slider.recovery_time"),
+            ({"operator_limit": 0.0}, "slider.operator_limit"),
+            ({"operator_limit": math.nan}, "slider.operator_limit"),
         ):
             with (
                 self.subTest(settings=settings_),

@@ -4,11 +4,14 @@ import contextlib
 import io
 import itertools
 import json
+import os
 from pathlib import Path
 import re
 import resource
+import signal
 import tempfile
 import threading
+import time
 import unittest
 from unittest import mock
 
@@ -22,6 +25,7 @@ from tofssm_drake.diagrams.hardware_run import require_ready
 from tofssm_drake.diagrams.scenario import load_scenario
 from tofssm_drake.errors import UserError
 from tofssm_drake.hardware import rtde_systems
+from tofssm_drake.hardware.rtde_client import RtdeClient
 from tofssm_drake.hardware.rtde_fields import SafetyMode
 from tofssm_drake.hardware.rtde_protocol import PackageType
 from tofssm_drake.hardware.run_record import RunReader
@@ -154,6 +158,15 @@ class TestHardware(unittest.TestCase):
         code, out = run_replay(path)
         self.assertEqual(code, 1)
         self.assertIn("robot_state 2, was 1", out)
+        self.assertRegex(out, "the record is damaged: the checksum of its")
+        # Cut off, as of a process that was killed.
+        path.write_bytes(data[: len(data) * 2 // 3])
+        code, out = run_replay(path)
+        self.assertEqual(code, 0)
+        self.assertIn("all states as recorded", out)
+        self.assertIn("the record is incomplete: it ends in the midst", out)
+        path.write_bytes(data.replace(b'"heartbeat":20', b'"heartbeaT":20'))
+        self.assertEqual(run_replay(path)[0], 1)
 
     def test_dry_run_writes_nothing(self):
         path = self.folder / "run.mcap"
@@ -347,6 +360,110 @@ class TestHardware(unittest.TestCase):
                     self.assertIn(message, err)
                     self.assertEqual(err.count("\n"), 1)
             self.assertEqual(robot.path_time, 0.0)
+
+    def test_no_signal_ends_it_before_zero_was_sent(self):
+        """One is enough, of any kind; another one comes too late."""
+        for numbers in (
+            (signal.SIGHUP,),
+            (signal.SIGTERM, signal.SIGTERM),
+            (signal.SIGINT, signal.SIGHUP, signal.SIGINT),
+        ):
+
+            def send(numbers=numbers):
+                for number in numbers:
+                    os.kill(os.getpid(), number)
+
+            robot = make_robot()
+            leave = RtdeClient._leave_stopped
+
+            def leave_late(client, send=send, leave=leave):
+                send()
+                leave(client)
+
+            with (
+                self.subTest(numbers=numbers),
+                serve(robot) as server,
+                at_ticks({100: send}),
+                mock.patch.object(RtdeClient, "_leave_stopped", leave_late),
+            ):
+                before = [signal.getsignal(number) for number in numbers]
+                code, out, err = run_hardware(server)
+                self.assertEqual(code, 130, err)
+                self.assertEqual(out, "interrupted; slider set to 0\n")
+                self.assertEqual(robot.slider, 0.0)
+                after = [signal.getsignal(number) for number in numbers]
+                self.assertEqual(after, before)
+
+    def test_interrupted_while_kernels_are_compiled(self):
+        robot = make_robot()
+        for is_wrapped in (False, True):
+            with self.subTest(is_wrapped=is_wrapped), serve(robot) as server:
+
+                def compile_long(*args, is_wrapped=is_wrapped, **kwargs):
+                    try:
+                        os.kill(os.getpid(), signal.SIGINT)
+                        time.sleep(30.0)
+                    except KeyboardInterrupt:
+                        if is_wrapped:
+                            raise RuntimeError("from a library") from None
+                        raise
+
+                with mock.patch.object(HardwareLoop, "_warm_up", compile_long):
+                    code, out, err = run_hardware(server)
+                self.assertEqual((code, out), (130, ""))
+                self.assertEqual(err, "tofssm: interrupted before the start\n")
+                self.assertEqual(robot.slider, 1.0)
+
+    def test_what_needs_no_robot_is_refused_before_it_is_touched(self):
+        robot = make_robot()
+        with serve(robot) as server:
+            for options, message in (
+                (("--human-motion", "/nope.bvh"), "/nope.bvh"),
+                (("--sensors-per-ring", 9), "--sensors-per-ring"),
+                (("--control-period", "nan"), "--control-period"),
+                (("--control-period", "inf"), "--control-period"),
+                (("--slider-limit", "nan"), "slider.operator_limit"),
+            ):
+                with self.subTest(options=options):
+                    path = self.folder / "run.mcap"
+                    code, out, err = run_hardware(
+                        server, *options, "--record", path, text="{}"
+                    )
+                    self.assertEqual((code, out), (2, ""))
+                    self.assertIn(message, err)
+                    self.assertEqual(err.count("\n"), 1, err)
+                    self.assertFalse(path.exists())
+                    self.assertEqual(robot.slider, 1.0)
+
+    def test_a_refusal_says_where_it_leaves_the_slider(self):
+        for options, message in (
+            ((), "must be normal or reduced; slider set to 0\n"),
+            (("--dry-run",), "reduced; nothing was written (dry run)\n"),
+        ):
+            robot = make_robot()
+            robot.set_safety_mode(SafetyMode.PROTECTIVE_STOP)
+            with self.subTest(options=options), serve(robot) as server:
+                code, out, err = run_hardware(server, *options)
+                self.assertEqual((code, out), (2, ""))
+                self.assertIn(message, err)
+                self.assertEqual(err.count("\n"), 1, err)
+
+    def test_a_slider_that_stands_low_stays_low(self):
+        for options, highest in (((), 0.1), (("--slider-limit", 0.4), 0.4)):
+            path = self.folder / "run.mcap"
+            robot = make_robot()
+            robot.move_slider(0.1)
+            with self.subTest(options=options), serve(robot) as server:
+                code, _, err = run_hardware(
+                    server, "--duration", 1.5, "--record", path, *options
+                )
+                self.assertEqual(code, 0, err)
+                self.assertIn(f"someone has set the slider to {highest}", err)
+            fractions = [
+                t.command.speed_fraction for t in RunReader(path).read_ticks()
+            ]
+            self.assertEqual(max(fractions), highest)
+            self.assertEqual(run_replay(path)[0], 0)
 
     def test_says_what_it_waits_for(self):
         with serve() as server:

@@ -1,5 +1,6 @@
 """Where a ring's frames come from or go to, as a user writes it."""
 
+from collections.abc import Sequence
 import dataclasses as dc
 import fcntl
 import ipaddress
@@ -13,6 +14,8 @@ _FORMS = "udp://ADDRESS:PORT[?from=ADDRESS] or serial:///dev/NAME[?baud=RATE]"
 _DEFAULT_BAUD = 921600
 # Linux: asks for an interface's IPv4 address.
 _SIOCGIFADDR = 0x8915
+# And for its broadcasts'.
+_SIOCGIFBRDADDR = 0x8919
 
 
 @dc.dataclass(frozen=True, kw_only=True)
@@ -131,6 +134,11 @@ def _parse_udp(text, where, allow_remote, parts, port, options):
         not ipaddress.IPv4Address(host).is_multicast,
         f"{where}: {text!r}: rings send to one machine, not to a group",
     )
+    require(
+        not _is_broadcast(host),
+        f"{where}: {text!r}: {host} is for broadcasts, rings send to one "
+        "machine; name the address of an interface",
+    )
     if "from" in options:
         senders = tuple(
             _parse_ip(text, where, sender)
@@ -156,10 +164,47 @@ def list_interfaces() -> list[str]:
 
 def find_interface_address(name: str) -> str:
     """Returns the IPv4 address of an interface; "" if it has none."""
+    return _ask_interface(name, _SIOCGIFADDR)
+
+
+def find_broadcast_address(name: str) -> str:
+    """Returns the address of an interface's broadcasts; "" if it has none."""
+    return _ask_interface(name, _SIOCGIFBRDADDR)
+
+
+def require_distinct(
+    addresses: Sequence[RingAddress], where: str = "--rings"
+) -> None:
+    """Raises UserError if one port or line is there twice.
+
+    Args:
+        addresses: All that shall be listened at.
+        where: Where the user wrote them.
+    """
+    told = [str(address) for address in addresses]
+    for text in told:
+        require(
+            told.count(text) == 1,
+            f"{where}: {text} is there twice; several senders of one port "
+            "are ?from=ADDRESS,ADDRESS",
+        )
+
+
+def _is_broadcast(host):
+    """Whether datagrams to it go to more than one machine."""
+    if host == "0.0.0.0":
+        # Every interface; what one without broadcasts tells.
+        return False
+    return host in ("255.255.255.255", "127.255.255.255") or host in map(
+        find_broadcast_address, list_interfaces()
+    )
+
+
+def _ask_interface(name, what):
     request = struct.pack("256s", name.encode())
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         try:
-            answer = fcntl.ioctl(probe.fileno(), _SIOCGIFADDR, request)
+            answer = fcntl.ioctl(probe.fileno(), what, request)
         except OSError:
             return ""
     return socket.inet_ntoa(answer[20:24])

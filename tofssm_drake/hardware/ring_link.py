@@ -23,6 +23,7 @@ from tofssm_drake.hardware.ring_address import (
     RingAddress,
     SerialAddress,
     UdpAddress,
+    require_distinct,
 )
 from tofssm_drake.hardware.ring_receiver import RingCounts, RingDecoder
 from tofssm_drake.messages import RingScan
@@ -97,6 +98,8 @@ def make_status(
 ) -> RingLinkStatus:
     """Returns the status of a link that decodes with this decoder."""
     counts = decoder.counts
+    told = [f"two devices have the number of {r}" for r in decoder.contested]
+    error = "; ".join([*told, error] if error else told)
     return RingLinkStatus(
         source=source,
         error=error,
@@ -214,7 +217,12 @@ class SerialTransport:
             if number in (errno.EAGAIN, errno.EBUSY):
                 reason = "another program has it"
             else:
-                reason = os.strerror(number) if number else str(error)
+                # What can be opened and not be configured is something else.
+                reason = (
+                    os.strerror(number)
+                    if number and number != errno.ENOTTY
+                    else "it is no serial line"
+                )
             raise UserError(
                 f"{self.source}: can not open it: {reason}"
             ) from None
@@ -274,8 +282,9 @@ class RingLink:
             tap: Sees all that comes, e.g. to record it.
 
         Raises:
-            UserError: An address can not be opened.
+            UserError: An address can not be opened, or is there twice.
         """
+        require_distinct(addresses)
         self._decoder = decoder
         self._tap = tap
         self._changed = threading.Condition()

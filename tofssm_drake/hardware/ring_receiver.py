@@ -44,6 +44,11 @@ _SATURATED_AGE = 255
 # So many frames in a row from before the last one are a device that started
 # anew, and not datagrams that overtook each other.
 _OLD_FRAMES = 3
+# Old frames between good ones come of a second device with the same number.
+# Each counts 1, a good one takes back less; from the limit on it is sure.
+_PER_GOOD_FRAME = 0.4
+_CONTESTED = 8.0
+_MOST_CONTESTED = 16.0
 
 
 @dc.dataclass(kw_only=True)
@@ -134,6 +139,8 @@ class RingCounts:
     """Scans with a frozen sensor."""
     self_test: int = 0
     """Made-up numbers: delivered as faulted."""
+    contested: int = 0
+    """Scans while another device sent frames of the same ring: faulted."""
 
 
 class RingReceiver:
@@ -176,7 +183,13 @@ class RingReceiver:
         self._time_us = 0
         self._arrival = -np.inf
         self._old_frames = 0
+        self._doubt = 0.0
         self._forget_samples()
+
+    @property
+    def is_contested(self) -> bool:
+        """Whether another device seems to have the same number."""
+        return self._doubt >= _CONTESTED
 
     def receive(self, frame: RingFrame, arrival: float) -> RingScan | None:
         """Returns the scan that a frame gives, or None.
@@ -193,6 +206,7 @@ class RingReceiver:
             return None
         self._arrival = arrival
         self._old_frames = 0
+        self._doubt = max(self._doubt - _PER_GOOD_FRAME, 0.0)
         is_frozen = self._watch_samples(frame)
         if self.clock.lateness > self._config.late:
             self.counts.late += 1
@@ -224,6 +238,7 @@ class RingReceiver:
         if sequence <= self._sequence or time_us <= self._time_us:
             self.counts.out_of_order += 1
             self._old_frames += 1
+            self._doubt = min(self._doubt + 1.0, _MOST_CONTESTED)
             if self._old_frames < _OLD_FRAMES:
                 return False
             return self._start_anew(frame, arrival)
@@ -280,6 +295,9 @@ class RingReceiver:
             status[is_frozen] = STATUS_NONE
         if frame.flags & FLAG_SELF_TEST:
             self.counts.self_test += 1
+            status[:] = STATUS_NONE
+        if self.is_contested:
+            self.counts.contested += 1
             status[:] = STATUS_NONE
         end = self.clock.calc_host_time(1e-6 * self._time_us)
         sensor_time = (
@@ -413,6 +431,13 @@ class RingDecoder:
         return {
             ring: dc.replace(r.counts) for ring, r in self._receivers.values()
         }
+
+    @property
+    def contested(self) -> tuple[str, ...]:
+        """The rings that several devices claim to be."""
+        return tuple(
+            ring for ring, r in self._receivers.values() if r.is_contested
+        )
 
     @property
     def clocks(self) -> dict[str, ClockMap | None]:

@@ -324,6 +324,8 @@ class _Link:
         # When the last bytes came, s.
         self._arrival = -math.inf
         self._version = 1
+        # Of the newest package, if it was no good.
+        self._rejection = ""
         self._outputs: rtde.Recipe | None = None
         self._inputs: rtde.Recipe | None = None
 
@@ -546,7 +548,8 @@ class _Link:
                     client._report = report
                     client._condition.notify_all()
             self._receive(
-                deadline, f"no package for {config.stream_timeout:g} s"
+                deadline,
+                f"no package for {config.stream_timeout:g} s{self._rejection}",
             )
 
     def _begin(self):
@@ -576,9 +579,14 @@ class _Link:
                 last=last,
                 session=session,
             )
-        except RtdeError:
+        except RtdeError as error:
             client._update(rejected=status.rejected + 1)
+            self._rejection = f"; data are rejected: {error}"
+            if not status.connected:
+                # Else it would be connecting for ever.
+                client._update(problem=f"{client._where}{self._rejection}")
             return None
+        self._rejection = ""
         if report.timestamp == last:
             client._update(repeated=status.repeated + 1)
             return None

@@ -188,10 +188,10 @@ def decode_output_setup(
 ) -> tuple[float | None, tuple[str, ...]]:
     """Returns frequency (None in version 1) and names a client asks for."""
     if version < 2:
-        return None, _decode_names(payload)
+        return None, _decode_request(payload)
     if len(payload) < 8:
         raise RtdeError("output setup: too short")
-    return struct.unpack_from(">d", payload)[0], _decode_names(payload[8:])
+    return struct.unpack_from(">d", payload)[0], _decode_request(payload[8:])
 
 
 def encode_output_setup_reply(setup: Setup, *, version: int = 2) -> bytes:
@@ -216,7 +216,7 @@ def encode_input_setup(names: Sequence[str]) -> bytes:
 
 def decode_input_setup(payload: bytes) -> tuple[str, ...]:
     """Returns the names of the inputs that a client wants to control."""
-    return _decode_names(payload)
+    return _decode_request(payload)
 
 
 def encode_input_setup_reply(setup: Setup) -> bytes:
@@ -402,6 +402,15 @@ def _encode_names(names: Sequence[str]) -> bytes:
             f"names: {len(payload)} bytes, at most {_LARGEST_NAMES}"
         )
     return payload
+
+
+def _decode_request(payload: bytes) -> tuple[str, ...]:
+    """Returns the names that a client asks for."""
+    if len(payload) > _LARGEST_NAMES:
+        raise RtdeError(
+            f"names: {len(payload)} bytes, at most {_LARGEST_NAMES}"
+        )
+    return _decode_names(payload)
 
 
 def _decode_names(payload: bytes) -> tuple[str, ...]:

@@ -27,6 +27,9 @@ from tofssm_drake.hardware.simulated_ur import SimulatedUr
 # long it may read nothing before it is dropped, s.
 _BACKLOG = 1 << 16
 _PATIENCE = 10.0
+# Connections to a port at a time, and what select can watch.
+_MOST_CLIENTS = 100
+_MOST_FILES = 1024
 # How much robot time may be made up for at once after the process slept, s.
 _LARGEST_LAG = 1.0
 
@@ -190,7 +193,7 @@ class RtdeServer:
                 key.data(key.fileobj)
 
     def _accept_client(self, listener):
-        connection = _accept(listener)
+        connection = _accept(listener, len(self._sessions))
         if connection is None:
             return
         connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
@@ -212,6 +215,11 @@ class RtdeServer:
                 self._answer(session, kind, payload)
             except RtdeError as error:
                 self._tell(session, str(error), rtde.TextLevel.WARNING)
+            except Exception as error:
+                # One client's input must not end the robot of the others.
+                self._tell(session, repr(error), rtde.TextLevel.EXCEPTION)
+                self._drop(session)
+                return
         try:
             session.reader.check()
         except RtdeError:
@@ -338,7 +346,13 @@ class RtdeServer:
             if faults.text_messages and session.count % 10 == 0:
                 self._tell(session, "in the stream")
             values = [self.robot.outputs[n] for n in session.outputs.names]
-            package = session.outputs.encode(values, version=session.version)
+            try:
+                package = session.outputs.encode(
+                    values, version=session.version
+                )
+            except RtdeError:
+                self._drop(session)
+                continue
             session.held.append(package * (2 if faults.duplicate else 1))
             if len(session.held) >= faults.coalesce:
                 self._send(session, b"".join(session.held))
@@ -365,7 +379,7 @@ class RtdeServer:
         session.last_progress = time.monotonic()
 
     def _accept_console(self, listener):
-        connection = _accept(listener)
+        connection = _accept(listener, len(self._consoles))
         if connection is None:
             return
         self._consoles[connection] = bytearray()
@@ -499,7 +513,7 @@ class RtdeServer:
             return f"could not understand: 'simulate {what}'"
         try:
             actions[what]()
-        except (KeyError, ValueError):
+        except (KeyError, ValueError, OverflowError):
             return f"could not understand: 'simulate {what} {value}'"
         return f"simulating {what} {value}".strip()
 
@@ -508,11 +522,14 @@ class RtdeServer:
         self.robot.restart_clock()
 
 
-def _accept(listener) -> socket.socket | None:
-    """Returns a new connection, or None if whoever called has gone."""
+def _accept(listener, connected) -> socket.socket | None:
+    """Returns a new connection; None: there are too many, or it has gone."""
     try:
         connection, _ = listener.accept()
     except OSError:
+        return None
+    if connected >= _MOST_CLIENTS or connection.fileno() >= _MOST_FILES:
+        connection.close()
         return None
     connection.setblocking(False)
     return connection

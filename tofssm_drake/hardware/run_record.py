@@ -19,6 +19,7 @@ from collections.abc import Iterator
 import dataclasses as dc
 import json
 import math
+import os
 import pathlib
 import re
 import struct
@@ -27,7 +28,7 @@ import time
 
 from mcap.exceptions import McapError
 import mcap.records
-from mcap.stream_reader import StreamReader
+from mcap.stream_reader import CRCValidationError, StreamReader
 from mcap.writer import CompressionType, Writer
 import numpy as np
 
@@ -40,6 +41,7 @@ from tofssm_drake.messages import (
     SliderCommand,
 )
 
+_MAGIC = b"\x89MCAP0\r\n"
 _FLUSH_PERIOD = 0.25
 _VERSION = 2
 _TOKENS = re.compile(r'"(?:[^"\\]|\\.)*"|NaN|Infinity')
@@ -194,6 +196,7 @@ class RunRecorder:
             self._stream,
             compression=CompressionType.NONE,
             use_chunking=False,
+            enable_data_crcs=True,
         )
         self._writer.start(profile="", library="tofssm_drake")
         self._channels = {
@@ -353,6 +356,10 @@ class RunReader:
 
     Attributes:
         run: The values that the recorder was given.
+        problem: Why it goes no further than it was read, and from where on,
+            or what is wrong with it; empty: nothing is known.
+        is_damaged: Whether it is more than a file that ends too early, as of
+            a process that was killed.
 
     Args:
         path: The file.
@@ -363,6 +370,8 @@ class RunReader:
 
     def __init__(self, path: pathlib.Path):
         self._path = path
+        self.problem = ""
+        self.is_damaged = False
         try:
             with path.open("rb") as stream:
                 start = stream.read(1 << 20)
@@ -382,25 +391,38 @@ class RunReader:
     def read_ticks(self) -> Iterator[RecordedTick]:
         """Yields the ticks in their order."""
         scans: dict[int, RingScan] = {}
+        end = "its begin"
         for values in self._read(_TICK):
-            for scan in values["scans"]:
-                scans[scan["ring"]] = _fill(RingScan, scan)
-            yield RecordedTick(
-                time=values["time"],
-                clock_offset=values["clock_offset"],
-                report=_fill(RobotReport, values["report"]),
-                scans=tuple(scans[i] for i in range(len(scans))),
-                command=_fill(SliderCommand, values["command"]),
-                state=values["state"],
-                sent=values.get("sent", math.nan),
-                busy=values["busy"],
-            )
+            try:
+                for scan in values["scans"]:
+                    scans[scan["ring"]] = _fill(RingScan, scan)
+                tick = RecordedTick(
+                    time=values["time"],
+                    clock_offset=values["clock_offset"],
+                    report=_fill(RobotReport, values["report"]),
+                    scans=tuple(scans[i] for i in range(len(scans))),
+                    command=_fill(SliderCommand, values["command"]),
+                    state=values["state"],
+                    sent=values.get("sent", math.nan),
+                    busy=values["busy"],
+                )
+                after = f"{tick.time:.3f} s"
+            except (LookupError, TypeError, ValueError, AttributeError) as why:
+                self.is_damaged = True
+                self.problem = f"a tick that is none: {why!r}"
+                break
+            end = after
+            yield tick
+        if self.problem:
+            self.problem += f", after the tick at {end}"
 
     def _read(self, wanted):
         topics = {}
+        good = 0
         with self._path.open("rb") as stream:
+            reader = StreamReader(stream, validate_crcs=wanted == _TICK)
             try:
-                for record in StreamReader(stream).records:
+                for record in reader.records:
                     if isinstance(record, mcap.records.Channel):
                         topics[record.id] = record.topic
                     elif (
@@ -408,6 +430,20 @@ class RunReader:
                         and topics.get(record.channel_id) == wanted
                     ):
                         yield json.loads(record.data)
+                    good = stream.tell()
+            except CRCValidationError:
+                self.is_damaged = True
+                self.problem = (
+                    f"the checksum of its first {good} bytes is wrong"
+                )
             except (McapError, EOFError, struct.error, ValueError):
-                # It ends where the process that wrote it did.
-                return
+                position = stream.tell()
+                stream.seek(-min(len(_MAGIC), position), os.SEEK_END)
+                is_whole = stream.read() == _MAGIC
+                # It ends where the process that wrote it did, or worse.
+                self.is_damaged = is_whole or position < stream.tell()
+                self.problem = (
+                    f"byte {good} and what follows can not be read"
+                    if self.is_damaged
+                    else f"it ends in the midst, at byte {position}"
+                )

@@ -59,6 +59,7 @@ def _make_enum(kind: type[enum.IntEnum]):
 
 SCHEMAS = {
     "/run": _make_object(
+        ("slider_limit",),
         version=_INTEGER,
         epoch=_NUMBER,
         command=_STRING,
@@ -66,6 +67,7 @@ SCHEMAS = {
         virtual_rings=_BOOLEAN,
         dry_run=_BOOLEAN,
         minimum_fraction=_NUMBER,
+        slider_limit=_NUMBER,
     ),
     "/tick": _make_object(
         ("sent",),

@@ -27,6 +27,8 @@ _LATE = 0.25
 # joint of all, which at the lowest fraction may creep on.
 _STANDING = 0.01
 _FASTEST = 3.2
+# An echo that is not above it is 0.
+_ZERO = 0.005
 # A protective stop that soon after the slider left 0 came of that, s.
 _OFFENCE = 1.0
 
@@ -69,6 +71,12 @@ class SliderConfig:
     # it there until someone raises it, False sets it back.
     yield_to_operator: bool = True
 
+    # Up to where the slider may go at first, 0 to 1, until a person moves it.
+    # None: no further than where it stands at the start, since a person may
+    # have set it there. What an earlier run left at 0 stays there until
+    # somebody raises it.
+    operator_limit: float | None = None
+
     def check(self, where: str) -> None:
         """Raises UserError with one line if a setting is out of range."""
         require(
@@ -102,6 +110,11 @@ class SliderConfig:
             0 <= self.recovery_time <= 60,
             f"{where}.recovery_time: must be from 0 to 60 s, "
             f"got {self.recovery_time:g}",
+        )
+        require(
+            self.operator_limit is None or 0 < self.operator_limit <= 1,
+            f"{where}.operator_limit: must be above 0 and at most 1, "
+            f"got {self.operator_limit}",
         )
 
 
@@ -153,8 +166,9 @@ class SliderState:
     """For how many reports in a row it is so by now."""
     deadline: float = math.inf
     """`count` by which setting it once more must have helped."""
-    operator_fraction: float = 1.0
-    """What a person at the slider allows."""
+    operator_fraction: float = math.nan
+    """What a person at the slider allows, also in the sessions to come; NaN:
+    nothing was seen yet."""
     ceiling: float = 0.0
     """What is allowed after a hold or a fault, growing; inf: no limit."""
     healthy: float = 0.0
@@ -213,13 +227,14 @@ def step_slider(
     """
     if report.sequence < 0 or report.sequence == state.command.sequence:
         return state
-    if report.session != state.session:
+    if report.session != state.session or state.count == 0:
         # The new session knows nothing of what was written in the old one.
         state = SliderState(
             command=state.command,
             count=state.count,
             ceiling=config.minimum_fraction,
             cause="new session with the robot",
+            operator_fraction=_carry_operator(config, state, report),
         )
     # Reports are counted, not time: a computer that was late has neither
     # written nor looked in the meantime.
@@ -327,6 +342,30 @@ def step_slider(
     )
 
 
+def _carry_operator(config, state, report):
+    """Returns what a person allows as far as is known at a new session.
+
+    No more than in the session before: nobody is asked to set the slider
+    low a second time because a cable was loose.
+    """
+    echo = report.target_speed_fraction
+    if math.isnan(state.operator_fraction):
+        if config.operator_limit is not None:
+            return config.operator_limit
+        # One that is rounded down from 1 is nobody's hand.
+        is_low = config.yield_to_operator and echo < 1.0 - config.tolerance
+        return max(echo, 0.0) if is_low else 1.0
+    written = (state.fraction, *(f for f, *_ in state.replaced))
+    if (
+        config.yield_to_operator
+        and state.phase != SliderPhase.FAULT
+        and echo < min(written) - config.tolerance
+    ):
+        # Lower than all that may have been written: a person, meanwhile.
+        return min(echo, state.operator_fraction)
+    return state.operator_fraction
+
+
 def _calc_ceiling(config, state, *, echo, elapsed, is_down, is_well):
     """Returns what is allowed now, and for how long all was well, s."""
     if is_down:
@@ -397,6 +436,11 @@ def _describe(
         return {"phase": SliderPhase.FOLLOWING, "reason": reason}
     if operator < wanted and target == operator:
         reason = f"someone has set the slider to {operator:.2f}"
+        if operator <= _ZERO:
+            reason = (
+                "slider stands at 0, left by a person or an earlier run: "
+                "raise it on the pendant"
+            )
         return {"phase": SliderPhase.YIELDING, "reason": reason}
     if recovering:
         return {"phase": SliderPhase.RECOVERING, "reason": recovering}
