@@ -326,13 +326,19 @@ def explain_ramps(results: Results) -> str:
     )
 
 
+def _calc_normal_stretch(results, event, cells):
+    """Returns the time in the normal state per event, s, by cell, and words."""
+    normal = _get_means(results, "normal_s", cells)
+    count = _get_means(results, event, cells)
+    stretch = {c: normal[c] / count[c] for c in normal if count.get(c)}
+    listed = ", ".join(f"{c.label} {_format(s, 1)}" for c, s in stretch.items())
+    return stretch, listed
+
+
 def explain_slowing(results: Results) -> str:
     """Tells whether who takes longest to slow down had run the longest."""
     cells = make_cells()
-    normal = _get_means(results, "normal_s", cells)
-    count = _get_means(results, "reduce_events", cells)
-    stretch = {c: normal[c] / count[c] for c in normal if count.get(c)}
-    listed = ", ".join(f"{c.label} {_format(s, 1)}" for c, s in stretch.items())
+    stretch, listed = _calc_normal_stretch(results, "reduce_events", cells)
     return join(
         _tell_means(
             results, "Mean time to reduce (s)", "time_to_reduce_s", cells
@@ -384,10 +390,7 @@ def _conclude_greatest(effect, cause, what, agrees, differs):
 def explain_speeds(results: Results) -> str:
     """Tells whether who stops from the highest speed had run the longest."""
     cells = make_cells()
-    normal = _get_means(results, "normal_s", cells)
-    stops = _get_means(results, "stop_events", cells)
-    stretch = {c: normal[c] / stops[c] for c in normal if stops.get(c)}
-    listed = ", ".join(f"{c.label} {_format(s, 1)}" for c, s in stretch.items())
+    stretch, listed = _calc_normal_stretch(results, "stop_events", cells)
     return join(
         _tell_means(
             results,

@@ -128,33 +128,6 @@ def saturate(k, k_max):
     return min(max(k, -k_max), k_max)
 
 
-def calc_directed_speeds(
-    *,
-    p_LO: np.ndarray,
-    v_WL: np.ndarray,
-    v_WO: np.ndarray,
-    k_max: float = math.inf,
-) -> tuple[np.ndarray, np.ndarray]:
-    """Projects velocities on the line from a link to an obstacle (paper, 4).
-
-    k_l = V_l . P^ and k_o = (V_l - V_o) . P^ with the *unit* vector
-    P^ = P / ||P||; positive is closing.
-
-    Args:
-        p_LO: from the link's centre to the obstacle, m, (..., 3).
-        v_WL: velocity of the link's centre, m/s, (..., 3).
-        v_WO: velocity of the obstacle, m/s, (..., 3).
-        k_max: both are saturated to [-k_max, k_max], m/s.
-
-    Returns:
-        k_l and k_o, m/s, (...).
-    """
-    n_LO = p_LO / np.linalg.norm(p_LO, axis=-1, keepdims=True)
-    k_l = np.sum(v_WL * n_LO, axis=-1)
-    k_o = np.sum((v_WL - v_WO) * n_LO, axis=-1)
-    return np.clip(k_l, -k_max, k_max), np.clip(k_o, -k_max, k_max)
-
-
 # Columns of a link's row, the fields of a Separation: first the real numbers,
 # then the whole ones.
 _TIME = 0
