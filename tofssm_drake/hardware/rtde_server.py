@@ -324,6 +324,8 @@ class RtdeServer:
         """Sends every client its outputs of this cycle."""
         faults = self.faults
         now = time.monotonic()
+        # Read once: another thread may set it while this one sends.
+        is_skipping = faults.skip_next > 0
         for session in list(self._sessions.values()):
             if session.outgoing and now - session.last_progress > _PATIENCE:
                 self._drop(session)
@@ -340,7 +342,7 @@ class RtdeServer:
                 now < faults.stalled_until
                 or len(session.outgoing) > _BACKLOG
                 or (faults.skip_every and not session.count % faults.skip_every)
-                or faults.skip_next > 0
+                or is_skipping
             ):
                 continue
             if faults.text_messages and session.count % 10 == 0:
@@ -357,7 +359,8 @@ class RtdeServer:
             if len(session.held) >= faults.coalesce:
                 self._send(session, b"".join(session.held))
                 session.held.clear()
-        faults.skip_next = max(faults.skip_next - 1, 0)
+        if is_skipping:
+            faults.skip_next -= 1
 
     def _send(self, session, data):
         if not session.outgoing:
