@@ -8,6 +8,7 @@ import struct
 import time
 import unittest
 
+import numpy as np
 from robot_room import make_robot, serve
 
 from tofssm_drake.errors import UserError
@@ -45,6 +46,14 @@ class RawClient:
                 raise EOFError
             self.waiting += self.reader.feed(data)
         return self.waiting.pop(0)
+
+    def forget(self):
+        """Drops what has come and not been read."""
+        self.waiting.clear()
+        self.socket.settimeout(0.0)
+        with contextlib.suppress(BlockingIOError):
+            while True:
+                self.reader.feed(self.socket.recv(4096))
 
     def ask(self, kind, payload=b""):
         """Returns the next package of that type."""
@@ -104,12 +113,12 @@ class TestHandshake(TestServer):
         )
         self.assertEqual(dut.ask("S"), b"\x01")
         times = []
-        for _ in range(3):
+        for _ in range(30):
             kind, payload = dut.receive()
             self.assertEqual(kind, PackageType.DATA_PACKAGE)
             times.append(struct.unpack(">7d", payload)[0])
-        # Whole rate.
-        self.assertAlmostEqual(times[2] - times[0], 0.016, delta=0.0041)
+        # Whole rate; a busy computer leaves some out.
+        self.assertAlmostEqual(np.diff(times).min(), 0.008, delta=1e-4)
 
     def test_unknown_outputs(self):
         dut = self.connect()
@@ -329,8 +338,13 @@ class TestStreams(TestServer):
         slow.ask("S")
         fast.set_up(b"timestamp")
         fast.ask("S")
-        times = [struct.unpack(">xd", fast.receive()[1])[0] for _ in range(60)]
-        self.assertAlmostEqual(times[-1] - times[0], 59 * 0.008, delta=0.1)
+        # Longer than the slow one's buffers last.
+        first = struct.unpack(">xd", fast.receive()[1])[0]
+        times = [first]
+        while times[-1] - first < 2.0:
+            times.append(struct.unpack(">xd", fast.receive()[1])[0])
+        steps = np.rint(np.diff(times) / 0.008)
+        self.assertEqual(np.median(steps), 1)
 
     def test_faults(self):
         dut = self.connect()
@@ -349,34 +363,39 @@ class TestStreams(TestServer):
                 round((b - a) / 0.008) for a, b in itertools.pairwise(times)
             ]
 
+        def do(line):
+            self.server.do(f"simulate {line}")
+            # What waits is from before.
+            dut.forget()
+
         times = read(2)
-        self.server.do("simulate skip 5")
+        do("skip 5")
         times += read(20)
         # Over all of them, as a busy computer may be late with any one.
         (passed,) = steps([times[0], times[-1]])
         self.assertGreaterEqual(passed - (len(times) - 1), 5)
-        self.server.do("simulate duplicate on")
+        do("duplicate on")
         self.assertIn(0, steps(read(20)))
-        self.server.do("simulate duplicate off")
-        self.server.do("simulate skip-every 3")
-        times = read(30)
-        self.assertGreaterEqual(sum(s >= 2 for s in steps(times)), 8)
-        self.server.do("simulate skip-every 0")
-        self.server.do("simulate fragment 1")
+        do("duplicate off")
+        do("skip-every 3")
+        self.assertGreaterEqual(sum(s >= 2 for s in steps(read(30))), 8)
+        do("skip-every 0")
+        do("fragment 1")
         self.assertEqual(len(read(10)), 10)
-        self.server.do("simulate fragment 0")
+        do("fragment 0")
         self.server.do("simulate coalesce 4")
         read(8)
         dut.socket.settimeout(5)
         while len(dut.socket.recv(4096)) % (4 * 12):
             pass
         self.server.do("simulate coalesce 1")
-        self.server.do("simulate clock 7")
-        self.assertGreater(max(steps(times + read(40))) * 0.008, 6.9)
-        self.server.do("simulate stall 0.2")
+        times = read(2)
+        do("clock 7")
+        self.assertGreater(max(steps(times + read(2))) * 0.008, 6.9)
         before = time.monotonic()
-        read(15)
-        self.assertGreater(time.monotonic() - before, 0.15)
+        do("stall 0.2")
+        read(2)
+        self.assertGreater(time.monotonic() - before, 0.19)
         self.server.do("simulate drop")
         with self.assertRaises((EOFError, ConnectionError)):
             read(1000)
