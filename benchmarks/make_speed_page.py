@@ -13,9 +13,7 @@ from matplotlib.figure import Figure
 import numpy as np
 from ray_comparison import (
     HOLD,
-    QueryObjectPath,
     compare,
-    find_floor,
     find_missing_peers,
     find_ratios,
     format_table,
@@ -72,7 +70,7 @@ def main():
             f"not installed: {', '.join(missing)}; pip install"
             " 'tofssm-drake[peers]'"
         )
-    comparisons, held, short, floors = [], [], [], []
+    comparisons, held = [], []
     for meshes in (False, True):
         for sensors in (8, 16):
             scene = Scene(sensors=sensors, meshes=meshes)
@@ -84,17 +82,6 @@ def main():
                     "table": format_table(rows),
                 }
             )
-            wanted = HOLD[meshes].get(QueryObjectPath.name, {})
-            floors += [
-                {
-                    "what": f"{library}, {rays} rays",
-                    "alone": f"{alone:.1f} x",
-                    "with_rays": f"{with_rays:.1f} x",
-                    "wanted": f"{wanted[library]:g} x",
-                }
-                for library, (alone, with_rays) in find_floor(rows).items()
-                if library in wanted
-            ]
             for caster, libraries in HOLD[meshes].items():
                 ratios = find_ratios(rows, caster)
                 for library, wanted in libraries.items():
@@ -107,8 +94,6 @@ def main():
                             + ", not reached" * (ratios[library] < wanted),
                         }
                     )
-                    if ratios[library] < wanted:
-                        short.append(held[-1])
     growths = [(title, text, measure()) for title, text, measure in _GROWTHS]
     template = jinja2.Template(
         (_HERE / "ray_caster_speed.md.jinja").read_text(),
@@ -124,9 +109,6 @@ def main():
         },
         comparisons=comparisons,
         held=held,
-        short=short,
-        floors=floors,
-        frames=len(scene.caster.frame_ids),
         growths=[
             {
                 "title": title,

@@ -56,29 +56,6 @@ class QueryObjectPath(FastPath):
         self._X_WF = self._scene.query_poses(i)
 
 
-class DrakeAlone:
-    """What of the QueryObject's path is Drake's own: no ray is cast.
-
-    Its poses are updated and handed out one by one, and nothing is done with
-    them. Nobody who asks a QueryObject from Python takes less.
-    """
-
-    name = "Drake, poses without rays"
-
-    def __init__(self, scene: Scene):
-        self._scene = scene
-
-    def prepare(self, i: int):
-        """Nothing depends on the state before."""
-
-    def update(self, i: int):
-        """Sets Drake's Context to state i and asks for the poses."""
-        self._scene.ask_for_poses(i)
-
-    def cast(self, i: int):
-        """Nothing."""
-
-
 PEERS = (
     ("mujoco", MujocoRangefinders),
     ("mujoco", MujocoMultiRay),
@@ -107,8 +84,7 @@ class Row:
     """Update and cast."""
     p99: float
     differing: float
-    """Share of the rays whose distance is off by more than 5 mm; NaN if it
-    casts none."""
+    """Share of the rays whose distance is off by more than 5 mm."""
 
 
 def find_missing_peers() -> list[str]:
@@ -127,7 +103,7 @@ def compare(scene: Scene, *, meshes: bool, rounds: int = 4) -> list[Row]:
         rounds: How often all states are gone through.
     """
     missing = find_missing_peers()
-    casters = [FastPath(scene), QueryObjectPath(scene), DrakeAlone(scene)]
+    casters = [FastPath(scene), QueryObjectPath(scene)]
     if not meshes:
         casters.append(NumpyCaster(scene))
     casters += [make(scene) for name, make in PEERS if name not in missing]
@@ -162,8 +138,6 @@ def compare(scene: Scene, *, meshes: bool, rounds: int = 4) -> list[Row]:
 
 def _compare_distances(scene, caster) -> float:
     """Returns how many of the rays differ from our caster's."""
-    if isinstance(caster, DrakeAlone):
-        return np.nan
     caster.prepare(0)
     count = 0
     for i, X_WF in enumerate(scene.X_WF):
@@ -185,25 +159,10 @@ def find_ratios(rows: list[Row], caster: str) -> dict[str, float]:
     ratios = {}
     for row in rows:
         library = row.name.split(",")[0]
-        if library not in ("RayCaster", "Drake"):
+        if library != "RayCaster":
             ratio = row.median / ours
             ratios[library] = min(ratio, ratios.get(library, np.inf))
     return ratios
-
-
-def find_floor(rows: list[Row]) -> dict[str, tuple[float, float]]:
-    """Returns by library how many times faster the least possible is.
-
-    First Drake's part of the QueryObject's path alone, then together with
-    the rays.
-    """
-    of = {row.name: row for row in rows}
-    alone, fast = of[DrakeAlone.name], of[FastPath.name]
-    rays = fast.median - fast.update
-    return {
-        library: (ratio, ratio * alone.median / (alone.median + rays))
-        for library, ratio in find_ratios(rows, alone.name).items()
-    }
 
 
 def format_table(rows: list[Row]) -> str:
@@ -218,8 +177,7 @@ def format_table(rows: list[Row]) -> str:
         f"| {row.name} | {row.update:.0f} us | {row.median:.0f} us |"
         f" {row.p99:.0f} us | {row.median / fast:.1f} x |"
         f" {row.median / query:.1f} x |"
-        f" {'' if np.isnan(row.differing) else f'{100 * row.differing:.2f} %'}"
-        " |"
+        f" {100 * row.differing:.2f} % |"
         for row in rows
     ]
     return "\n".join(lines)

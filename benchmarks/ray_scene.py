@@ -108,9 +108,6 @@ class Scene:
         others = self.caster.frame_ids[: -len(avatar.frame_ids)]
         assert self.caster.frame_ids == [*others, *avatar.frame_ids]
         self._num_others = len(others)
-        self._moving_frame_ids = [
-            f for f in self.caster.frame_ids if f != self.caster.world_frame_id
-        ]
         self._twin_poses = TwinPoses.from_plant(
             self.plant, layout=layout, frame_ids=others
         )
@@ -175,10 +172,6 @@ class Scene:
     def query_poses(self, i: int) -> np.ndarray:
         """Returns them from Drake."""
         return self.caster.poses_from_query_object(self._move(i))
-
-    def ask_for_poses(self, i: int) -> list[RigidTransform]:
-        """Returns what Drake says of all frames that may move."""
-        return list(map(self._move(i).GetPoseInWorld, self._moving_frame_ids))
 
     def _move(self, i: int) -> QueryObject:
         state = self.states[i]

@@ -1,7 +1,7 @@
 """Poses for a ray caster without a QueryObject.
 
-A QueryObject hands out one pose at a time, which takes longer than casting
-the rays. Who poses the geometry anyhow has all of its poses at hand.
+For a QueryObject Drake updates all that it knows of the scene. Who poses the
+geometry anyhow has its poses at hand.
 """
 
 from collections.abc import Sequence

@@ -32,6 +32,7 @@ from pydrake.math import RigidTransform
 from tofssm_drake.errors import UserError
 from tofssm_drake.geometry import ray_kernels, shape_kernels
 from tofssm_drake.geometry.ball_tree import make_ball_tree
+from tofssm_drake.geometry.pose_reader import PoseReader
 from tofssm_drake.geometry.triangle_mesh import (
     check_hull_source,
     describe_mesh_source,
@@ -42,7 +43,6 @@ from tofssm_drake.geometry.triangle_tree import TriangleTree
 _UNIT_TOLERANCE = 1e-6
 # Rays that are checked together against bounding spheres, at most.
 _GROUP_SIZE = 32
-_IDENTITY = np.eye(3, 4)
 
 _BAD_POSE = (
     "X_WF: a pose is not finite or no rotation, or is not nearer than"
@@ -151,8 +151,6 @@ class RayCaster:
         self._known_frame_ids = set(inspector.GetAllFrameIds())
         self._frame_ids: list[FrameId] = []
         self._frame_row: dict[FrameId, int] = {}
-        self._posed_frame_ids: list[FrameId] = []
-        self._world_row = -1
 
         n = len(self._geometry_ids)
         shapes = np.zeros((n, ray_kernels.SHAPE_COLUMNS))
@@ -191,6 +189,7 @@ class RayCaster:
         frames = shapes[:, ray_kernels.FRAME].astype(int)
         balls = make_ball_tree(frames, p_FC, radii)
         self._scene = (shapes, balls, *pool.merge())
+        self._read_frames()
         self._remember_version(inspector)
 
     @property
@@ -236,16 +235,7 @@ class RayCaster:
                 no renderer. Drake counts no version then.
         """
         try:
-            # Mapped bound methods: half the cost of a comprehension.
-            poses = list(
-                map(
-                    RigidTransform.GetAsMatrix34,
-                    map(query_object.GetPoseInWorld, self._posed_frame_ids),
-                )
-            )
-            if not poses:
-                # Drake's inspector of an empty QueryObject would crash.
-                query_object.GetPoseInWorld(self._world_frame_id)
+            poses = self._pose_reader.read(query_object)
         except RuntimeError:
             query_object.GetPoseInWorld(self._world_frame_id)
             # A frame is gone, perhaps with its geometry: say which.
@@ -256,11 +246,7 @@ class RayCaster:
             # A new Context counts as a new version: look closer.
             self.check_geometry(inspector)
             self._remember_version(inspector)
-        if not self._frame_ids:
-            return np.empty((0, 3, 4))
-        if self._world_row >= 0:
-            poses.insert(self._world_row, _IDENTITY)
-        return np.concatenate(poses).reshape(-1, 3, 4)
+        return poses
 
     def check_geometry(self, inspector: SceneGraphInspector) -> None:
         """Compares the geometry with what was read at construction.
@@ -371,6 +357,7 @@ class RayCaster:
         frame_index = np.array(
             [self._find_frame(f) for f in frame_ids], dtype=np.int64
         )
+        self._read_frames()
         order, cones = _group_directions(fan_S)
         bundles = RayBundles(
             num_bundles=m,
@@ -649,6 +636,12 @@ class RayCaster:
         self._version = copy.copy(inspector.geometry_version())
         self._num_with_role = inspector.NumGeometriesWithRole(self._role)
 
+    def _read_frames(self) -> None:
+        """Lets the poses of all frames be read."""
+        self._pose_reader = PoseReader(
+            self._frame_ids, world_frame_id=self._world_frame_id
+        )
+
     def _find_frame(self, frame_id: FrameId) -> int:
         """Returns the row of a frame in X_WF, a new one if need be."""
         row = self._frame_row.get(frame_id)
@@ -656,10 +649,6 @@ class RayCaster:
             row = len(self._frame_ids)
             self._frame_ids.append(frame_id)
             self._frame_row[frame_id] = row
-            if frame_id == self._world_frame_id:
-                self._world_row = row
-            else:
-                self._posed_frame_ids.append(frame_id)
         return row
 
     def _find_rows(self, where: str, geometry_ids) -> list[int]:

@@ -30,8 +30,8 @@ class ScenePoses(LeafSystem):
         - frame_poses
 
     `frame_poses` is X_WF, (f, 3, 4), of `caster.frame_ids`: the same poses as
-    `caster.poses_from_query_object` gathers one by one, in a tenth of the
-    time. Robot, cell and products follow from what the robot reports, the
+    `caster.poses_from_query_object` reads, without Drake's update of the
+    scene. Robot, cell and products follow from what the robot reports, the
     person from the avatar's `skeleton`.
 
     Args:
