@@ -565,7 +565,10 @@ class TestWithSimulatedRobot(unittest.TestCase):
         faults = Faults(
             text_messages=True, skip_every=7, fragment=11, duplicate=True
         )
-        with serve(faults=faults) as server, connect(server) as dut:
+        with (
+            serve(faults=faults) as server,
+            connect(server, stream_timeout=5) as dut,
+        ):
             self.assertTrue(wait_until(lambda: dut.get_report().sequence > 60))
             status = dut.get_status()
             self.assertGreaterEqual(status.missed, 8)
