@@ -297,7 +297,7 @@ class TestHardware(unittest.TestCase):
         def claim():
             server.claim(["speed_slider_mask", "speed_slider_fraction"])
             server.drop_clients()
-            threading.Timer(1.0, server.release).start()
+            threading.Timer(2.0, server.release).start()
 
         with (
             serve(robot) as server,
@@ -313,11 +313,12 @@ class TestHardware(unittest.TestCase):
                     390: claim,
                     500: lambda: server.do("simulate slider-frozen on"),
                     501: lambda: server.do("pause"),
+                    600: lambda: signal.raise_signal(signal.SIGINT),
                 }
             ),
         ):
-            code, _, err = run_hardware(server, "--duration", 9)
-            self.assertEqual(code, 0, err)
+            code, _, err = run_hardware(server)
+            self.assertEqual(code, 130, err)
         lines = err.splitlines()
         for why in (
             r"slider yielding: someone has set the slider to 0\.30",
