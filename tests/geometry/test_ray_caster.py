@@ -1,6 +1,7 @@
 import unittest
 
 import numpy as np
+from pydrake.autodiffutils import AutoDiffXd
 from pydrake.geometry import (
     Box,
     Capsule,
@@ -14,6 +15,7 @@ from pydrake.geometry import (
     PerceptionProperties,
     ProximityProperties,
     QueryObject,
+    QueryObject_,
     Role,
     Sphere,
 )
@@ -536,6 +538,18 @@ class TestRayCaster(unittest.TestCase):
             dut = mut.RayCaster(scene.inspector)
             with self.assertRaisesRegex(RuntimeError, "invalid QueryObject"):
                 dut.poses_from_query_object(QueryObject())
+
+    def test_query_object_of_another_scalar(self):
+        scene = oracle.Scene()
+        scene.add(Sphere(0.1))
+        dut = mut.RayCaster(scene.inspector)
+        ray = [[1.0, 0, 0]], [[1.0, 0, 0]]
+        for function in (
+            dut.poses_from_query_object,
+            lambda query_object: dut.cast(query_object, *ray),
+        ):
+            with self.assertRaisesRegex(TypeError, "AutoDiffXd.*of floats"):
+                function(QueryObject_[AutoDiffXd]())
 
     def test_query_object_of_another_scene_graph(self):
         for moving in (False, True):

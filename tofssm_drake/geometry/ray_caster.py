@@ -233,7 +233,13 @@ class RayCaster:
                 here, but by `check_geometry`: `ChangeShape` of a geometry
                 that has the perception role only, while the SceneGraph has
                 no renderer. Drake counts no version then.
+            TypeError: If it is a QueryObject of another scalar than float.
         """
+        if not isinstance(query_object, QueryObject):
+            raise TypeError(
+                f"query_object: {type(query_object).__name__} is not a"
+                " QueryObject of floats"
+            )
         try:
             poses = self._pose_reader.read(query_object)
         except RuntimeError:
@@ -243,9 +249,11 @@ class RayCaster:
             raise
         inspector = query_object.inspector()
         if not self._is_unchanged(inspector):
-            # A new Context counts as a new version: look closer.
+            # Perhaps a change beside these geometries: look closer.
             self.check_geometry(inspector)
             self._remember_version(inspector)
+            self._read_frames()
+            poses = self._pose_reader.read(query_object)
         return poses
 
     def check_geometry(self, inspector: SceneGraphInspector) -> None:
@@ -460,9 +468,9 @@ class RayCaster:
                 a unit vector, if a pose is none, if a number is not finite,
                 if an origin is 1e100 m or more away, or if `excluded` holds
                 anything but GeometryIds.
-            RuntimeError: See `poses_from_query_object`.
+            RuntimeError, TypeError: See `poses_from_query_object`.
         """
-        if isinstance(poses, QueryObject):
+        if hasattr(poses, "GetPoseInWorld"):
             X_WF = self.poses_from_query_object(poses)
         else:
             X_WF = self._check_poses(poses)
