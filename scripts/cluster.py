@@ -18,6 +18,8 @@ TIMEOUT = 10.0
 _SETTINGS = {
     # A simulation may hold Python's lock for a while: that is no fault.
     "distributed.admin.tick.limit": "1h",
+    # It looks a hundred times a second at what runs, which slows that down.
+    "distributed.worker.profile.enabled": False,
     # A worker that died takes its run with it, and no other.
     "distributed.scheduler.allowed-failures": 1,
 }

@@ -333,7 +333,9 @@ def run_missing(
     """
     total = len(plan.list_runs())
     calls = {}
-    for planned in missing:
+    # The longest runs first, so that all workers are done at the same time:
+    # a lidar at the base stops the robot most.
+    for planned in sorted(missing, key=lambda r: r.cell.sensing != "lidar"):
         name = plan.find_motion(planned)
         motion = None if name is None else (name, motions[name])
         calls[planned.key] = scenario, planned, motion

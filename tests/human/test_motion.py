@@ -47,6 +47,14 @@ class MotionTest(unittest.TestCase):
             length = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=-1)
             np.testing.assert_allclose(length, motion.lengths, atol=1e-12)
 
+    def test_over_time_is_the_same(self):
+        motion = _make(40, loops=True)
+        t = np.linspace(-1.0, 2.0, 77)
+        np.testing.assert_array_equal(
+            mut.capsule_ends_over_time(motion, t),
+            [mut.capsule_ends(motion, x) for x in t],
+        )
+
     def test_holds(self):
         motion = _make(40, loops=False)
         self.assertAlmostEqual(motion.duration, 39 * 0.008)

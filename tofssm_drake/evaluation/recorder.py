@@ -13,7 +13,7 @@ from pydrake.systems.primitives import Multiplexer, VectorLogSink
 
 from tofssm_drake.evaluation.ground_truth import TruthModel
 from tofssm_drake.evaluation.samples import RING_COLUMNS, Samples, narrow_type
-from tofssm_drake.human.motion import HumanMotion, capsule_ends
+from tofssm_drake.human.motion import HumanMotion, capsule_ends_over_time
 from tofssm_drake.leaf_system import (
     DID_NOTHING,
     LeafSystem,
@@ -440,7 +440,7 @@ class SampleRecorder(Diagram):
     def _calc_skeletons(self, t):
         if self._motion is None:
             return np.empty((len(t), 0))
-        return np.stack([capsule_ends(self._motion, x).ravel() for x in t])
+        return capsule_ends_over_time(self._motion, t).reshape(len(t), -1)
 
     def _lay_out_messages(self, log, t):
         # Nothing is known before the first, as at a start in mid-air.

@@ -119,6 +119,16 @@ def _calc_capsule_ends(
                 ends[i, 1, k] = centre + reach
 
 
+@njit(cache=True)
+def _calc_capsule_ends_rows(
+    joints, first, second, lengths, dt, loops, t, ends
+):  # pragma: no cover
+    for i in range(t.size):
+        _calc_capsule_ends(
+            joints, first, second, lengths, dt, loops, t[i], ends[i]
+        )
+
+
 def capsule_ends(motion: HumanMotion, t: float) -> np.ndarray:
     """Returns where the capsules are at one time.
 
@@ -141,6 +151,30 @@ def capsule_ends(motion: HumanMotion, t: float) -> np.ndarray:
         motion.dt,
         motion.loops,
         t,
+        ends,
+    )
+    return ends
+
+
+def capsule_ends_over_time(motion: HumanMotion, t: np.ndarray) -> np.ndarray:
+    """Returns where the capsules are at many times.
+
+    Args:
+        motion: The motion.
+        t: Times, s, shape (k,).
+
+    Returns:
+        As `capsule_ends`, at each time, shape (k, c, 2, 3).
+    """
+    ends = np.empty((len(t), len(CAPSULES), 2, 3))
+    _calc_capsule_ends_rows(
+        motion.joints,
+        CAPSULE_FIRST,
+        CAPSULE_SECOND,
+        motion.lengths,
+        motion.dt,
+        motion.loops,
+        np.array(t, dtype=float),
         ends,
     )
     return ends

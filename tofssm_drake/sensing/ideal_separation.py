@@ -7,13 +7,12 @@ import numpy as np
 from pydrake.common.value import Value
 from pydrake.systems.framework import (
     Context,
-    EventStatus,
     State,
 )
 
 from tofssm_drake.errors import require_period
 from tofssm_drake.kernels import njit
-from tofssm_drake.leaf_system import LeafSystem
+from tofssm_drake.leaf_system import SUCCEEDED, LeafSystem
 from tofssm_drake.messages import (
     RINGS,
     Reading,
@@ -21,8 +20,26 @@ from tofssm_drake.messages import (
     Separation,
     make_empty_separation,
 )
-from tofssm_drake.sensing.separation import LinkKinematics, saturate
+from tofssm_drake.sensing.separation import (
+    DISTANCE,
+    HEALTH,
+    K_L,
+    K_O,
+    LINK_SPEED,
+    SENSOR,
+    SEQUENCE,
+    TIME,
+    LinkKinematics,
+    lay_out_separation,
+    make_columns,
+    saturate,
+)
 from tofssm_drake.sensing.vl53l1x import check_range
+
+# As compile-time constants for the kernel.
+_CLEAR = int(Reading.CLEAR)
+_VALID = int(Reading.VALID)
+_HEALTHY = int(RingHealth.HEALTHY)
 
 # A sample that is due at this very tick is due, whatever the rounding.
 _SLACK = 1e-9
@@ -96,24 +113,19 @@ def find_nearest_on_person(p_WL, ends, velocities, radii):
     return max(nearest, 0.0), n, v
 
 
-# Rows of the links' numbers, see `_calc_links`.
-_DISTANCE = 0
-_LINK_SPEED = 1
-_K_L = 2
-_K_O = 3
-_ROWS = 4
-
-
 @njit(cache=True)
-def _calc_links(p_WL, v_WL, ends, velocities, radii, k_max, V_hmax):
-    """Returns the links' numbers, (4, m), and their directions, (m, 3)."""
+def _calc_links(
+    p_WL, v_WL, ends, velocities, radii, k_max, V_hmax, reals, whole
+):
+    """Writes all of a separation but when it was, see `make_columns`."""
     m = p_WL.shape[0]
-    links = np.empty((_ROWS, m))
-    direction = np.empty((m, 3))
+    direction = reals[K_O + 1 :].reshape(m, 3)
+    count = whole[HEALTH + 1 :].reshape(m, 4)
     for i in range(m):
         distance, n, v = find_nearest_on_person(
             p_WL[i], ends, velocities, radii
         )
+        is_seen = np.isfinite(distance)
         speed2 = 0.0
         k_l = 0.0
         v_h = 0.0
@@ -128,12 +140,15 @@ def _calc_links(p_WL, v_WL, ends, velocities, radii, k_max, V_hmax):
             v_h = V_hmax
         elif np.isnan(v_h):
             v_h = V_hmax
-        links[_DISTANCE, i] = distance
-        links[_LINK_SPEED, i] = speed
-        links[_K_L, i] = saturate(k_l, k_max)
-        links[_K_O, i] = saturate(k_l + v_h, k_max)
+        reals[DISTANCE, i] = distance
+        reals[LINK_SPEED, i] = speed
+        reals[K_L, i] = saturate(k_l, k_max)
+        reals[K_O, i] = saturate(k_l + v_h, k_max)
         direction[i] = n
-    return links, direction
+        whole[SENSOR, i] = 0 if is_seen else -1
+        whole[HEALTH, i] = _HEALTHY
+        count[i] = 0
+        count[i, _VALID if is_seen else _CLEAR] = 1
 
 
 def calc_ideal_separation(
@@ -169,27 +184,13 @@ def calc_ideal_separation(
         time: When it was taken, s.
         name: The m links.
     """
-    m = len(name)
-    links, direction = _calc_links(
-        p_WL, v_WL, ends, velocities, radii, k_max, V_hmax
+    reals, whole = make_columns(len(name))
+    reals[TIME] = time
+    whole[SEQUENCE] = sequence
+    _calc_links(
+        p_WL, v_WL, ends, velocities, radii, k_max, V_hmax, reals, whole
     )
-    seen = np.isfinite(links[_DISTANCE])
-    count = np.zeros((m, 4), dtype=int)
-    count[~seen, Reading.CLEAR] = 1
-    count[seen, Reading.VALID] = 1
-    return Separation(
-        name=name,
-        sequence=np.full(m, sequence),
-        time=np.full(m, time),
-        distance=links[_DISTANCE],
-        sensor=np.where(seen, 0, -1),
-        direction=direction,
-        link_speed=links[_LINK_SPEED],
-        k_l=links[_K_L],
-        k_o=links[_K_O],
-        health=np.full(m, int(RingHealth.HEALTHY)),
-        count=count,
-    )
+    return lay_out_separation(name, reals, whole)
 
 
 @dc.dataclass(frozen=True, eq=False, kw_only=True)
@@ -271,26 +272,33 @@ class IdealSeparation(LeafSystem):
 
     def _update(self, context: Context, state: State):
         before = context.get_abstract_state(self._capture).get_value()
-        capture = self._sample(context, before)
-        due = context.get_time() - self._config.latency + _SLACK
-        delivered = [s for s in capture.waiting if s.time[0] <= due]
-        if delivered:
-            state.get_mutable_abstract_state(self._separation).set_value(
-                delivered[-1]
-            )
-            capture = dc.replace(
-                capture, waiting=capture.waiting[len(delivered) :]
-            )
-        state.get_mutable_abstract_state(self._capture).set_value(capture)
-        return EventStatus.Succeeded()
-
-    def _sample(self, context, before):
         time = context.get_time()
-        if len(self._radii):
+        ends, separation = self._sample(context, time, before)
+        waiting = (*before.waiting, separation)
+        due = time - self._config.latency + _SLACK
+        delivered = None
+        while waiting and waiting[0].time[0] <= due:
+            delivered, *waiting = waiting
+        if delivered is not None:
+            state.get_mutable_abstract_state(self._separation).set_value(
+                delivered
+            )
+        state.get_mutable_abstract_state(self._capture).set_value(
+            _Capture(
+                sequence=before.sequence + 1,
+                time=time,
+                ends=ends,
+                waiting=tuple(waiting),
+            )
+        )
+        return SUCCEEDED
+
+    def _sample(self, context, time, before):
+        """Returns where the person is now, and the separation."""
+        ends = np.empty((len(self._radii), 2, 3))
+        if len(ends):
             # A copy: what Eval returned changes with the time.
-            ends = np.array(self._skeleton.Eval(context)).reshape(-1, 2, 3)
-        else:
-            ends = np.empty((0, 2, 3))
+            ends[:] = self._skeleton.Eval(context).reshape(ends.shape)
         if before.ends is None or time <= before.time:
             velocities = np.full(ends.shape, np.nan)
         else:
@@ -298,7 +306,7 @@ class IdealSeparation(LeafSystem):
         p_WL, _, v_WL = self._kinematics.calc(
             self._position.Eval(context), self._velocity.Eval(context)
         )
-        separation = calc_ideal_separation(
+        return ends, calc_ideal_separation(
             p_WL=p_WL,
             v_WL=v_WL,
             ends=ends,
@@ -309,10 +317,4 @@ class IdealSeparation(LeafSystem):
             sequence=before.sequence + 1,
             time=time,
             name=self._name,
-        )
-        return _Capture(
-            sequence=before.sequence + 1,
-            time=time,
-            ends=ends,
-            waiting=(*before.waiting, separation),
         )

@@ -13,14 +13,11 @@ from typing import Protocol
 
 import numpy as np
 from pydrake.common.value import Value
-from pydrake.systems.framework import (
-    Context,
-    EventStatus,
-    State,
-)
+from pydrake.systems.framework import Context, State
 
 from tofssm_drake.errors import require, require_period
-from tofssm_drake.leaf_system import LeafSystem
+from tofssm_drake.kernels import njit
+from tofssm_drake.leaf_system import DID_NOTHING, SUCCEEDED, LeafSystem
 from tofssm_drake.messages import (
     LidarScan,
     Reading,
@@ -28,7 +25,18 @@ from tofssm_drake.messages import (
     make_empty_separation,
 )
 from tofssm_drake.sensing.readings import calc_ring_health, count_readings
+from tofssm_drake.sensing.separation import (
+    lay_out_separation,
+    make_columns,
+    saturate,
+)
 from tofssm_drake.sensing.vl53l1x import check_range
+
+# As compile-time constants for the kernels.
+_CLEAR = int(Reading.CLEAR)
+_VALID = int(Reading.VALID)
+_MASKED = int(Reading.MASKED)
+_FAULTED = int(Reading.FAULTED)
 
 LIDAR = ("lidar",)
 """Name of the one link that a lidar watches: the whole robot."""
@@ -128,26 +136,45 @@ def classify_rays(
     Returns:
         `Reading`, (n,), uint8.
     """
-    is_taught = np.isfinite(background)
-    gap = np.full(len(ranges), np.nan)
-    np.subtract(ranges, background, out=gap, where=is_taught)
-    reading = np.full(len(ranges), Reading.FAULTED, dtype=np.uint8)
-    reading[np.isposinf(ranges) & ~is_taught] = Reading.CLEAR
-    reading[np.abs(gap) <= margin] = Reading.MASKED
-    is_before = np.isfinite(ranges) & ((gap < -margin) | ~is_taught)
-    reading[is_before & (ranges >= 0.0)] = Reading.VALID
+    reading = np.full(len(ranges), _FAULTED, dtype=np.uint8)
+    _write_readings(ranges, background, margin, reading)
     return reading
 
 
-def find_nearest_around(
-    *,
-    angles: np.ndarray,
-    ranges: np.ndarray,
-    reading: np.ndarray,
-    angle: float,
-    distance: float,
-    width: float,
-) -> float:
+@njit(cache=True)
+def _write_readings(ranges, background, margin, reading):
+    for i in range(len(ranges)):
+        d = ranges[i]
+        is_taught = np.isfinite(background[i])
+        if is_taught and abs(d - background[i]) <= margin:
+            reading[i] = _MASKED
+        elif not is_taught and d == np.inf:
+            reading[i] = _CLEAR
+        elif 0.0 <= d < np.inf and not (
+            is_taught and d - background[i] >= -margin
+        ):
+            reading[i] = _VALID
+
+
+@njit(cache=True)
+def find_nearest(ranges, reading):
+    """Returns the index of the nearest VALID range, the first one; -1: none.
+
+    Args:
+        ranges: m, (n,).
+        reading: `Reading` of each, (n,).
+    """
+    nearest = -1
+    for i in range(len(ranges)):
+        if reading[i] == _VALID and (
+            nearest < 0 or ranges[i] < ranges[nearest]
+        ):
+            nearest = i
+    return nearest
+
+
+@njit(cache=True)
+def find_nearest_around(angles, ranges, reading, angle, distance, width):
     """Returns the nearest VALID range at or beside a place, m; inf: none.
 
     Args:
@@ -158,10 +185,14 @@ def find_nearest_around(
         distance: of the place, m.
         width: how far beside it, m.
     """
-    turn = np.abs(np.mod(angles - angle + math.pi, 2 * math.pi) - math.pi)
     half = width / distance if distance > width else math.pi
-    near = (reading == Reading.VALID) & (turn <= half)
-    return float(ranges[near].min(initial=math.inf))
+    nearest = math.inf
+    for i in range(len(ranges)):
+        if reading[i] == _VALID and ranges[i] < nearest:
+            turn = (angles[i] - angle + math.pi) % (2 * math.pi) - math.pi
+            if abs(turn) <= half:
+                nearest = ranges[i]
+    return nearest
 
 
 @dc.dataclass(frozen=True, eq=False, kw_only=True)
@@ -211,43 +242,40 @@ def calc_lidar_separation(
     health = calc_ring_health(
         count, int(config.max_faulted_share * len(reading))
     )
-    d = np.where(reading == Reading.VALID, scan.ranges, np.inf)
-    ray = int(np.argmin(d)) if len(d) else -1
-    if ray < 0 or not np.isfinite(d[ray]):
-        ray, distance = -1, math.inf
-        direction = np.full(3, np.nan)
+    ray = find_nearest(scan.ranges, reading)
+    if ray < 0:
+        distance = math.inf
+        direction = math.nan, math.nan, math.nan
         k_l, v_h = speed, config.V_hmax
     else:
-        angle = scan.angles[ray]
-        distance = float(calc_lidar_distance(config, d[ray]))
-        direction = np.array([math.cos(angle), math.sin(angle), 0.0])
-        k_l = float(v_WT @ direction)
+        angle, d = float(scan.angles[ray]), float(scan.ranges[ray])
+        distance = float(calc_lidar_distance(config, d))
+        direction = math.cos(angle), math.sin(angle), 0.0
+        k_l = float(v_WT @ np.array(direction))
         v_h = config.V_hmax
         dt = math.inf if previous is None else scan.time - previous.time
         if 0.0 < dt <= config.max_gap:
             before = find_nearest_around(
-                angles=previous.angles,
-                ranges=previous.ranges,
-                reading=previous_reading,
-                angle=angle,
-                distance=d[ray],
-                width=config.track_width,
+                previous.angles,
+                previous.ranges,
+                previous_reading,
+                angle,
+                d,
+                config.track_width,
             )
             if math.isfinite(before):
-                v_h = (before - d[ray]) / dt
-    return Separation(
-        name=LIDAR,
-        sequence=np.array([scan.sequence]),
-        time=np.array([scan.time]),
-        distance=np.array([distance]),
-        sensor=np.array([ray]),
-        direction=direction[None],
-        link_speed=np.array([speed]),
-        k_l=np.clip([k_l], -k_max, k_max),
-        k_o=np.clip([k_l + v_h], -k_max, k_max),
-        health=np.array([health]),
-        count=count[None],
+                v_h = (before - d) / dt
+    reals, whole = make_columns(1)
+    reals[:, 0] = (
+        scan.time,
+        distance,
+        speed,
+        saturate(k_l, k_max),
+        saturate(k_l + v_h, k_max),
+        *direction,
     )
+    whole[:, 0] = scan.sequence, ray, health, *count
+    return lay_out_separation(LIDAR, reals, whole)
 
 
 class ToolKinematics(Protocol):
@@ -325,7 +353,7 @@ class LidarSeparation(LeafSystem):
         scan = self._scan.Eval(context)
         before = context.get_abstract_state(self._before).get_value()
         if scan.sequence < 0 or scan.sequence == before.scan.sequence:
-            return EventStatus.DidNothing()
+            return DID_NOTHING
         if scan.ranges.shape != self._background.shape:
             raise ValueError(
                 f"scan has {len(scan.ranges)} rays, the background "
@@ -353,4 +381,4 @@ class LidarSeparation(LeafSystem):
         state.get_mutable_abstract_state(self._before).set_value(
             _Classified(scan=scan, reading=reading)
         )
-        return EventStatus.Succeeded()
+        return SUCCEEDED

@@ -327,6 +327,47 @@ def make_separation(
     )
 
 
+# What `lay_out_separation` takes, as rows of m links each. Behind the rows of
+# `reals` are the directions, link by link, behind those of `whole` the counts.
+TIME, DISTANCE, LINK_SPEED, K_L, K_O = range(5)
+SEQUENCE, SENSOR, HEALTH = range(3)
+
+
+def make_columns(m: int) -> tuple[np.ndarray, np.ndarray]:
+    """Returns room for the (reals, whole) of m links, (8, m) and (7, m)."""
+    return np.empty((8, m)), np.empty((7, m), dtype=int)
+
+
+def lay_out_separation(
+    name: tuple[str, ...], reals: np.ndarray, whole: np.ndarray
+) -> Separation:
+    """Makes the message from two arrays, which are read-only afterwards.
+
+    Its fields are views of them: that takes a third of the time of an array
+    for each.
+
+    Args:
+        name: The m links.
+        reals: From `make_columns`, written.
+        whole: Likewise.
+    """
+    reals.setflags(write=False)
+    whole.setflags(write=False)
+    return Separation.of_read_only(
+        name=name,
+        sequence=whole[SEQUENCE],
+        time=reals[TIME],
+        distance=reals[DISTANCE],
+        sensor=whole[SENSOR],
+        direction=reals[K_O + 1 :].reshape(-1, 3),
+        link_speed=reals[LINK_SPEED],
+        k_l=reals[K_L],
+        k_o=reals[K_O],
+        health=whole[HEALTH],
+        count=whole[HEALTH + 1 :].reshape(-1, 4),
+    )
+
+
 def _make_empty_row() -> np.ndarray:
     """Returns the row of a link that was never measured."""
     empty = make_empty_separation(("",))
