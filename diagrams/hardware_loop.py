@@ -166,9 +166,11 @@ class HardwareLoop:
             station=self._station,
             meshcat=meshcat,
             with_samples=with_samples,
+            masks_periodically=virtual_rings,
         )
         self._monitor = self._workcell.diagram.GetSubsystemByName("monitor")
         # Looked up once, not in each tick.
+        self._mask = self._monitor.GetSubsystemByName("mask")
         self._answers = {
             name: self._monitor.GetOutputPort(name)
             for name in (
@@ -224,7 +226,10 @@ class HardwareLoop:
             # With the first report, or the record would begin without one.
             self._simulator.Initialize()
             self._initialized = True
-        _update(self._robot, self._robot_context)
+            if self._rings is not None:
+                # The events of the first tick come with the first advance.
+                self._take_scans(given)
+        self._robot_context.SetAbstractState(0, given.report)
         self._simulator.AdvanceTo(given.time)
         if self._rings is not None:
             self._take_scans(given)
@@ -251,10 +256,11 @@ class HardwareLoop:
         return result
 
     def _take_scans(self, given):
-        """Lets the rings' subscriber look, if there is anything to see."""
+        """Lets subscriber and mask look, if there is anything to see."""
         if [scan.sequence for scan in given.scans] == self._taken:
             return
         _update(self._rings, self._ring_context)
+        _update(self._mask, self._mask_context)
         self._taken = [
             self._rings.get_output_port(i).Eval(self._ring_context).sequence
             for i in range(len(RINGS))
@@ -292,6 +298,7 @@ class HardwareLoop:
         self._simulator = make_simulator(self._workcell.diagram, context)
         root = self._simulator.get_mutable_context()
         self._monitor_context = self._monitor.GetMyContextFromRoot(root)
+        self._mask_context = self._mask.GetMyMutableContextFromRoot(root)
         self._publisher_context = self._publisher.GetMyContextFromRoot(root)
         self._robot_context = self._robot.GetMyMutableContextFromRoot(root)
         self._slider_context = self._slider.GetMyMutableContextFromRoot(root)
