@@ -8,7 +8,9 @@ Whatever ends it, the connection is closed, which puts the slider to 0.
 from collections.abc import Callable, Iterator
 import contextlib
 import gc
+import os
 import sys
+import threading
 import time
 
 import numpy as np
@@ -38,6 +40,8 @@ _LATEST = 0.25
 _PATH_STEP = 0.05
 # How long a thread may compute while another one waits, s.
 _SWITCH_INTERVAL = 0.0005
+# Above all that is not real-time, and below the system's own threads (50).
+_PRIORITY = 10
 # Between two lines about what is waited for, s.
 _QUIET = 2.0
 
@@ -106,6 +110,41 @@ def keep_interpreter_quiet() -> Iterator[None]:
     finally:
         sys.setswitchinterval(interval)
         gc.unfreeze()
+
+
+@contextlib.contextmanager
+def run_in_real_time() -> Iterator[bool]:
+    """Puts the program's threads before all other programs, where it may.
+
+    All of Python's: one that another program has interrupted would hold up
+    those that wait for the interpreter. A program that was started with a
+    real-time priority keeps it.
+
+    Yields:
+        Whether they have a real-time priority.
+    """
+    usual = os.SCHED_OTHER
+    changed = []
+    try:
+        for thread in threading.enumerate():
+            if os.sched_getscheduler(thread.native_id) == usual:
+                os.sched_setscheduler(
+                    thread.native_id,
+                    os.SCHED_FIFO,
+                    os.sched_param(_PRIORITY),
+                )
+                changed.append(thread)
+    except OSError:
+        # It may not, or a thread has just ended.
+        pass
+    try:
+        yield os.sched_getscheduler(0) != usual
+    finally:
+        for thread in changed:
+            with contextlib.suppress(OSError):
+                os.sched_setscheduler(
+                    thread.native_id, usual, os.sched_param(0)
+                )
 
 
 def wait_for_robot(

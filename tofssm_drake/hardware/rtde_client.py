@@ -149,6 +149,8 @@ class RtdeClient:
         self._condition = threading.Condition()
         self._report = RobotReport()
         self._status = RtdeStatus(problem="connecting")
+        # Counted apart: a new status for each package costs more than it.
+        self._packages = 0
         self._closed = threading.Event()
         self._send_lock = threading.Lock()
         # Socket and input recipe, while writing is possible.
@@ -223,7 +225,9 @@ class RtdeClient:
 
     def get_status(self) -> RtdeStatus:
         """Returns how the connection is doing."""
-        return self._status
+        return dc.replace(
+            self._status, packages=self._packages, missed=self._report.missed
+        )
 
     def close(self) -> None:
         """Stops the robot if its slider is ours, and ends the connection."""
@@ -590,9 +594,7 @@ class _Link:
         if report.timestamp == last:
             client._update(repeated=status.repeated + 1)
             return None
-        client._status = dc.replace(
-            status, packages=status.packages + 1, missed=report.missed
-        )
+        client._packages += 1
         return report
 
     def say_goodbye(self):
