@@ -186,11 +186,9 @@ class _Ticker:
         Args:
             given: What is new; the station's connections hold the same.
         """
-        if self._rings is not None:
-            offset = self._clock_offset.GetMutableData().get_mutable_value()
-            offset[0] = given.clock_offset
         if not self._initialized:
             # With the first report, or the record would begin without one.
+            self._show_offset(given)
             self.simulator.Initialize()
             self._initialized = True
             # The events of the first tick come with the first advance.
@@ -228,12 +226,18 @@ class _Ticker:
             self._reason = self.ask("reason")
         return self._reason
 
+    def _show_offset(self, given):
+        if self._rings is not None:
+            offset = self._clock_offset.GetMutableData().get_mutable_value()
+            offset[0] = given.clock_offset
+
     def _take_scans(self, given):
         """Lets subscriber and mask look, if there is anything to see."""
         if self._rings is None:
             return
         if [scan.sequence for scan in given.scans] == self._taken:
             return
+        self._show_offset(given)
         _update(self._rings, self._ring_context)
         _update(self._mask, self._mask_context)
         self._taken = [
