@@ -29,6 +29,7 @@ from tofssm_drake.diagrams.scenario import (
 )
 from tofssm_drake.diagrams.simulation import Progress
 from tofssm_drake.errors import UserError, require
+from tofssm_drake.evaluation.report import count_of
 from tofssm_drake.hardware.ring_address import (
     parse_ring_address,
     require_distinct,
@@ -426,6 +427,6 @@ def _write_report(loop, scenario, end, out, name, command, is_real):
         summary |= {"person_is_known": False, "ghost_s_by_ring": {}}
     write_results(samples, summary, out)
     print(
-        f"{end.result.products_placed} products placed in "
+        f"{count_of(end.result.products_placed, 'product')} placed in "
         f"{end.result.time:.1f} s; report: {out / 'report.html'}"
     )
