@@ -5,7 +5,9 @@ then writes what it noted as JSON to the file it was given.
 """
 
 import argparse
+import contextlib
 import json
+import os
 from pathlib import Path
 import time
 
@@ -17,6 +19,8 @@ from tofssm_drake.robot.twin import make_cell_plant
 from tofssm_drake.scripts.simulate import catch_stop
 
 HEARTBEAT = "input_int_register_24"
+# A real controller is a computer of its own: nothing here may delay it.
+_PRIORITY = 20
 
 
 class ClockedUr(SimulatedUr):
@@ -53,6 +57,8 @@ def main():
         kinematics=kinematics,
     )
     robot.step()
+    with contextlib.suppress(PermissionError):
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(_PRIORITY))
     with catch_stop() as stopped:
         server = RtdeServer(robot=robot, port=0)
         print(server.address[1], flush=True)

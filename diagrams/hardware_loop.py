@@ -43,6 +43,8 @@ from tofssm_drake.visualization.health_board import (
 
 # The world of virtual rings, or made-up scans, for so many periods of them.
 _WARM_UP = 3
+# A rehearsal takes no more ticks than fit into that time, s.
+_MOST_REHEARSED = 0.02
 
 
 @dc.dataclass(frozen=True, eq=False, kw_only=True)
@@ -122,6 +124,128 @@ def _update(system, context):
     system.CalcForcedUnrestrictedUpdate(context, context.get_mutable_state())
 
 
+class _Ticker:
+    """Ticks on a Context of its own.
+
+    Args:
+        workcell: Of a hardware station; several tickers may share it.
+        context: To begin with.
+        deadline: How old the law lets a sample be, s.
+    """
+
+    def __init__(self, workcell: Workcell, context: Context, deadline: float):
+        self._deadline = deadline
+        # All is looked up once, not in each tick.
+        station = workcell.station.diagram
+        self._monitor = workcell.diagram.GetSubsystemByName("monitor")
+        self._mask = self._monitor.GetSubsystemByName("mask")
+        self._answers = {
+            name: self._monitor.GetOutputPort(name)
+            for name in (
+                "robot_state",
+                "ring_states",
+                "reason",
+                "speed_fraction",
+                "separation",
+            )
+        }
+        self._publisher = station.GetSubsystemByName("robot_publisher")
+        slider = station.GetSubsystemByName("slider_control")
+        self._slider_state = slider.GetOutputPort("slider")
+        self.simulator = make_simulator(workcell.diagram, context)
+        root = self.simulator.get_mutable_context()
+        self._monitor_context = self._monitor.GetMyContextFromRoot(root)
+        self._mask_context = self._mask.GetMyMutableContextFromRoot(root)
+        self._publisher_context = self._publisher.GetMyContextFromRoot(root)
+        self._robot_context = station.GetSubsystemByName(
+            "robot_subscriber"
+        ).GetMyMutableContextFromRoot(root)
+        self._slider_context = slider.GetMyMutableContextFromRoot(root)
+        self._shown_report, self._shown_problem = (
+            slider.GetInputPort(name).FixValue(
+                self._slider_context, AbstractValue.Make(value)
+            )
+            for name, value in (("report", RobotReport()), ("problem", ""))
+        )
+        self._problem = ""
+        self._reasons_for = self._reason = None
+        self._taken = None
+        self._rings = None
+        if workcell.station.rings is not None:
+            self._rings = station.GetSubsystemByName("ring_subscriber")
+            self._ring_context = self._rings.GetMyMutableContextFromRoot(root)
+            self._clock_offset = self._rings.GetInputPort(
+                "clock_offset"
+            ).FixValue(self._ring_context, [0.0])
+        self._initialized = False
+        self._held = find_binding_objects(workcell.diagram, root)
+
+    def tick(self, given: TickInput) -> tuple[SliderState, str]:
+        """Computes and publishes; returns slider and `TickResult.problem`.
+
+        Args:
+            given: What is new; the station's connections hold the same.
+        """
+        if not self._initialized:
+            # With the first report, or the record would begin without one.
+            self._show_offset(given)
+            self.simulator.Initialize()
+            self._initialized = True
+            # The events of the first tick come with the first advance.
+            self._take_scans(given)
+        self._robot_context.SetAbstractState(0, given.report)
+        self.simulator.AdvanceTo(given.time)
+        self._take_scans(given)
+        # The tick's own events: without it they would wait for the next one.
+        self.simulator.AdvancePendingEvents()
+        problem = find_sensing_problem(
+            index=self.ask("separation"),
+            now=given.time,
+            deadline=self._deadline,
+        )
+        self._shown_report.GetMutableData().set_value(given.report)
+        if problem != self._problem:
+            self._problem = problem
+            self._shown_problem.GetMutableData().set_value(problem)
+        self._publisher.ForcedPublish(self._publisher_context)
+        # What was published is remembered; a forced update would compute it
+        # anew.
+        slider = self._slider_state.Eval(self._slider_context)
+        self._slider_context.SetAbstractState(0, slider)
+        return slider, problem
+
+    def ask(self, name: str):
+        """Returns what an output of the monitor says after the tick."""
+        return self._answers[name].Eval(self._monitor_context)
+
+    def ask_reason(self) -> str:
+        """Returns `reason`; words are made for what is new only."""
+        reasons_for = self.ask("separation"), self.ask("robot_state")[0]
+        if reasons_for != self._reasons_for:
+            self._reasons_for = reasons_for
+            self._reason = self.ask("reason")
+        return self._reason
+
+    def _show_offset(self, given):
+        if self._rings is not None:
+            offset = self._clock_offset.GetMutableData().get_mutable_value()
+            offset[0] = given.clock_offset
+
+    def _take_scans(self, given):
+        """Lets subscriber and mask look, if there is anything to see."""
+        if self._rings is None:
+            return
+        if [scan.sequence for scan in given.scans] == self._taken:
+            return
+        self._show_offset(given)
+        _update(self._rings, self._ring_context)
+        _update(self._mask, self._mask_context)
+        self._taken = [
+            self._rings.get_output_port(i).Eval(self._ring_context).sequence
+            for i in range(len(RINGS))
+        ]
+
+
 class HardwareLoop:
     """The monitor in a loop with a station that is handed its data.
 
@@ -149,7 +273,6 @@ class HardwareLoop:
         self._scenario = scenario
         self._sending = False
         self._send = send
-        self._initialized = False
         self._deadline = make_law(scenario).deadline
         slider = SliderConfig() if slider is None else slider
         self._station = make_hardware_station(
@@ -166,32 +289,18 @@ class HardwareLoop:
             station=self._station,
             meshcat=meshcat,
             with_samples=with_samples,
-        )
-        self._monitor = self._workcell.diagram.GetSubsystemByName("monitor")
-        # Looked up once, not in each tick.
-        self._answers = {
-            name: self._monitor.GetOutputPort(name)
-            for name in (
-                "robot_state",
-                "ring_states",
-                "reason",
-                "speed_fraction",
-                "separation",
-            )
-        }
-        station = self._station.diagram
-        self._publisher = station.GetSubsystemByName("robot_publisher")
-        self._robot = station.GetSubsystemByName("robot_subscriber")
-        self._slider = station.GetSubsystemByName("slider_control")
-        self._slider_state = self._slider.GetOutputPort("slider")
-        self._rings = (
-            None
-            if virtual_rings
-            else station.GetSubsystemByName("ring_subscriber")
+            masks_periodically=virtual_rings,
         )
         self._board = None
+        self._sent = math.nan
+        self._ticker = self._make_ticker(0)
         self._warm_up()
-        self._start(self._workcell.make_context(scenario.random_seed))
+        self._ticker = self._make_ticker(scenario.random_seed)
+        # What is shown or kept must not be so twice.
+        self._rehearsal = None
+        if not (virtual_rings or with_samples or meshcat is not None):
+            self._rehearsal = self._make_ticker(scenario.random_seed)
+        self._last: TickInput | None = None
         if meshcat is not None:
             self._board = HealthBoard(meshcat=meshcat)
         self._sending = True
@@ -204,7 +313,7 @@ class HardwareLoop:
     @property
     def context(self) -> Context:
         """The workcell's Context after the last tick."""
-        return self._simulator.get_context()
+        return self._ticker.simulator.get_context()
 
     def tick(self, given: TickInput) -> TickResult:
         """Takes a report, computes, and sends the command.
@@ -215,70 +324,50 @@ class HardwareLoop:
         Returns:
             What the monitor says of it and what was sent.
         """
-        self._station.robot.report = given.report
-        if self._rings is not None:
-            self._station.rings.scans = given.scans
-            offset = self._clock_offset.GetMutableData().get_mutable_value()
-            offset[0] = given.clock_offset
-        if not self._initialized:
-            # With the first report, or the record would begin without one.
-            self._simulator.Initialize()
-            self._initialized = True
-        _update(self._robot, self._robot_context)
-        self._simulator.AdvanceTo(given.time)
-        if self._rings is not None:
-            self._take_scans(given)
-        # The tick's own events: without it they would wait for the next one.
-        self._simulator.AdvancePendingEvents()
-        problem = find_sensing_problem(
-            index=self._ask("separation"),
-            now=given.time,
-            deadline=self._deadline,
-        )
-        self._shown_report.GetMutableData().set_value(given.report)
-        if problem != self._problem:
-            self._problem = problem
-            self._shown_problem.GetMutableData().set_value(problem)
+        self._hold(given)
         self._sent = math.nan
-        self._publisher.ForcedPublish(self._publisher_context)
-        # What was published is remembered; a forced update would compute it
-        # anew.
-        slider = self._slider_state.Eval(self._slider_context)
-        self._slider_context.SetAbstractState(0, slider)
+        slider, problem = self._ticker.tick(given)
         result = self._read(given, problem, slider)
+        self._last = given
         if self._board is not None:
             self._board.show(describe_links(result, deadline=self._deadline))
         return result
 
-    def _take_scans(self, given):
-        """Lets the rings' subscriber look, if there is anything to see."""
-        if [scan.sequence for scan in given.scans] == self._taken:
+    def rehearse(self) -> None:
+        """Makes the last tick once more, on another Context.
+
+        Nothing follows from it but that the processor has at hand what the
+        next tick needs, which is then done in half of the time. To be called
+        shortly before the next report; does nothing where the rings are
+        virtual, or something is shown or kept for a report.
+        """
+        given, self._last = self._last, None
+        if self._rehearsal is None or given is None:
             return
-        _update(self._rings, self._ring_context)
-        self._taken = [
-            self._rings.get_output_port(i).Eval(self._ring_context).sequence
-            for i in range(len(RINGS))
-        ]
+        simulator = self._rehearsal.simulator
+        # After a long pause it catches up little by little.
+        end = simulator.get_context().get_time() + _MOST_REHEARSED
+        self._hold(given)
+        self._sending = False
+        try:
+            self._rehearsal.tick(dc.replace(given, time=min(given.time, end)))
+        finally:
+            self._sending = True
 
-    def _ask(self, name):
-        return self._answers[name].Eval(self._monitor_context)
-
-    def _ask_reason(self):
-        """Words cost more than numbers: they are made for what is new."""
-        reasons_for = self._ask("separation"), self._ask("robot_state")[0]
-        if reasons_for != self._reasons_for:
-            self._reasons_for = reasons_for
-            self._reason = self._ask("reason")
-        return self._reason
+    def _hold(self, given):
+        """Lets the station's connections show what is new."""
+        self._station.robot.report = given.report
+        if self._station.rings is not None:
+            self._station.rings.scans = given.scans
 
     def _read(self, given, problem, slider):
-        ask = self._ask
+        ask = self._ticker.ask
         report = given.report
         return TickResult(
             time=given.time,
             robot_state=int(ask("robot_state")[0]),
             ring_states=tuple(int(s) for s in ask("ring_states")),
-            reason=self._ask_reason(),
+            reason=self._ticker.ask_reason(),
             problem=problem,
             speed_fraction=float(ask("speed_fraction")[0]),
             slider=slider,
@@ -288,29 +377,12 @@ class HardwareLoop:
             sent=self._sent,
         )
 
-    def _start(self, context):
-        self._simulator = make_simulator(self._workcell.diagram, context)
-        root = self._simulator.get_mutable_context()
-        self._monitor_context = self._monitor.GetMyContextFromRoot(root)
-        self._publisher_context = self._publisher.GetMyContextFromRoot(root)
-        self._robot_context = self._robot.GetMyMutableContextFromRoot(root)
-        self._slider_context = self._slider.GetMyMutableContextFromRoot(root)
-        self._shown_report, self._shown_problem = (
-            self._slider.GetInputPort(name).FixValue(
-                self._slider_context, AbstractValue.Make(value)
-            )
-            for name, value in (("report", RobotReport()), ("problem", ""))
+    def _make_ticker(self, random_seed):
+        return _Ticker(
+            self._workcell,
+            self._workcell.make_context(random_seed),
+            self._deadline,
         )
-        self._problem = ""
-        self._reasons_for = self._reason = None
-        self._taken = None
-        if self._rings is not None:
-            self._ring_context = self._rings.GetMyMutableContextFromRoot(root)
-            self._clock_offset = self._rings.GetInputPort(
-                "clock_offset"
-            ).FixValue(self._ring_context, [0.0])
-        self._initialized = False
-        self._held = find_binding_objects(self._workcell.diagram, root)
 
     def _send_if_live(self, command):
         if not self._sending or self._send is None or not self._send(command):
@@ -329,7 +401,6 @@ class HardwareLoop:
         self._station.robot.report = RobotReport(
             sequence=0, position=q, velocity=np.zeros(6)
         )
-        self._start(self._workcell.make_context(0))
         period = scenario.rings.period
         for i in range(_WARM_UP):
             scan = RingScan(

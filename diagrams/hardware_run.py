@@ -8,7 +8,10 @@ Whatever ends it, the connection is closed, which puts the slider to 0.
 from collections.abc import Callable, Iterator
 import contextlib
 import gc
+import math
+import os
 import sys
+import threading
 import time
 
 import numpy as np
@@ -31,6 +34,10 @@ from tofssm_drake.robot.program import make_program_path
 
 # One wait for a report, s; then the signals are looked at.
 _WAIT = 0.05
+# So long before the next report a tick is rehearsed, s, if it takes so long
+# from one report to the next.
+_REHEARSAL = 0.002
+_LEAST_CYCLE = 0.006
 # A robot that is silent that long ends the run, s.
 _LONGEST_SILENCE = 10.0
 # Reports that come so much later than the fastest ones end the run, s.
@@ -38,6 +45,8 @@ _LATEST = 0.25
 _PATH_STEP = 0.05
 # How long a thread may compute while another one waits, s.
 _SWITCH_INTERVAL = 0.0005
+# Above all that is not real-time, and below the system's own threads (50).
+_PRIORITY = 10
 # Between two lines about what is waited for, s.
 _QUIET = 2.0
 
@@ -106,6 +115,39 @@ def keep_interpreter_quiet() -> Iterator[None]:
     finally:
         sys.setswitchinterval(interval)
         gc.unfreeze()
+
+
+@contextlib.contextmanager
+def run_in_real_time() -> Iterator[bool]:
+    """Puts the program's threads before all other programs, where it may.
+
+    All of Python's: one that another program has interrupted would hold up
+    those that wait for the interpreter. A program that was started with a
+    real-time priority keeps it.
+
+    Yields:
+        Whether they have a real-time priority.
+    """
+    usual = os.SCHED_OTHER
+    changed = []
+    try:
+        for thread in threading.enumerate():
+            if os.sched_getscheduler(thread.native_id) == usual:
+                os.sched_setscheduler(
+                    thread.native_id,
+                    os.SCHED_FIFO,
+                    os.sched_param(_PRIORITY),
+                )
+                changed.append(thread.native_id)
+    except OSError:
+        # It may not, or a thread has just ended.
+        pass
+    try:
+        yield os.sched_getscheduler(0) != usual
+    finally:
+        for number in changed:
+            with contextlib.suppress(OSError):
+                os.sched_setscheduler(number, usual, os.sched_param(0))
 
 
 def wait_for_robot(
@@ -214,6 +256,7 @@ class HardwareRun:
         self._clock = clock
         self._sequence = -1
         self._heard = clock()
+        self._timestamp = self._cycle = -math.inf
         self.ticks = 0
         """Reports answered."""
 
@@ -261,9 +304,7 @@ class HardwareRun:
         Raises:
             UserError: The robot is silent for too long, or far too late.
         """
-        report = self._robot.wait_for_report(
-            after=self._sequence, timeout=_WAIT
-        )
+        report = self._wait_for_report()
         if report.sequence <= self._sequence:
             silence = self._clock() - self._heard
             problem = self._robot.get_status().problem
@@ -275,6 +316,8 @@ class HardwareRun:
             return None
         self._sequence = report.sequence
         self._heard = report.time
+        self._cycle = report.timestamp - self._timestamp
+        self._timestamp = report.timestamp
         tick_time = self._robot_clock.update(report)
         lateness = self._robot_clock.lateness
         require(
@@ -292,6 +335,18 @@ class HardwareRun:
         if self._record is not None:
             self._record.add_tick(make_recorded_tick(given, result))
         return result
+
+    def _wait_for_report(self):
+        """Waits, and rehearses shortly before the next report is due."""
+        if _LEAST_CYCLE <= self._cycle <= _WAIT:
+            due = self._heard + self._cycle - _REHEARSAL
+            report = self._robot.wait_for_report(
+                after=self._sequence, timeout=due - self._clock()
+            )
+            if report.sequence > self._sequence:
+                return report
+            self._loop.rehearse()
+        return self._robot.wait_for_report(after=self._sequence, timeout=_WAIT)
 
 
 def make_recorded_tick(given: TickInput, result: TickResult) -> RecordedTick:

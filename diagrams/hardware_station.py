@@ -69,9 +69,9 @@ def make_hardware_station(
     the report that the monitor has seen, and `problem` to what is wrong with
     its data, once the monitor's tick is over. So a command answers a report
     with what was computed of that same report. The loop also tells when
-    reports and scans are taken, by forced updates of `robot_subscriber` and
-    `ring_subscriber`, and makes what was published the State of
-    `slider_control`.
+    scans are taken, by forced updates of `ring_subscriber` and the monitor's
+    `mask`, and makes the report the State of `robot_subscriber` and what was
+    published that of `slider_control`.
 
     Args:
         scenario: Checked settings; rings on the arm.

@@ -39,7 +39,10 @@ _JOINTS = ("position_measured", "velocity_measured")
 
 
 def make_monitor(
-    scenario: Scenario, *, person_radii: np.ndarray | None = None
+    scenario: Scenario,
+    *,
+    person_radii: np.ndarray | None = None,
+    masks_periodically: bool = True,
 ) -> Diagram:
     """Makes the monitor, the same for a simulated and for a real cell.
 
@@ -77,6 +80,9 @@ def make_monitor(
         scenario: Checked settings.
         person_radii: Radii of the pieces of the person of `skeleton`, m, (c,);
             only the sensing `ideal` takes them.
+        masks_periodically: The mask looks at the rings' scans at each control
+            tick; else who runs the loop tells it to, by forced updates of
+            `mask`.
 
     Returns:
         The Diagram.
@@ -105,7 +111,12 @@ def make_monitor(
         )
     else:
         separation, masked_scans = _add_rings(
-            builder, scenario, scene_graph, plant, kinematics
+            builder,
+            scenario,
+            scene_graph,
+            plant,
+            kinematics,
+            masks_periodically,
         )
     links = get_links(scenario)
     dsi_filter = builder.AddNamedSystem(
@@ -205,14 +216,21 @@ def _add_lidar(builder, scenario, scene_graph, plant, kinematics):
     return separation
 
 
-def _add_rings(builder, scenario, scene_graph, plant, kinematics):
+def _add_rings(
+    builder, scenario, scene_graph, plant, kinematics, masks_periodically
+):
     """Adds mask and separation of the rings with their inputs.
 
     Returns:
         The separation and the ports of the masked scans.
     """
     mask, geometries = _add_mask(
-        builder, scenario, scene_graph, plant, kinematics
+        builder,
+        scenario,
+        scene_graph,
+        plant,
+        kinematics,
+        masks_periodically,
     )
     separation = builder.AddNamedSystem(
         "separation",
@@ -229,7 +247,9 @@ def _add_rings(builder, scenario, scene_graph, plant, kinematics):
     return separation, ports
 
 
-def _add_mask(builder, scenario, scene_graph, plant, kinematics):
+def _add_mask(
+    builder, scenario, scene_graph, plant, kinematics, masks_periodically
+):
     """Adds the mask with its inputs; returns it and the rings."""
     inspector = scene_graph.model_inspector()
     caster = RayCaster(inspector)
@@ -240,6 +260,7 @@ def _add_mask(builder, scenario, scene_graph, plant, kinematics):
             config=scenario.mask,
             caster=caster,
             period=scenario.control_period,
+            masks_periodically=masks_periodically,
             bundles=make_mask_bundles(
                 config=scenario.mask,
                 ring_config=scenario.rings,

@@ -49,6 +49,7 @@ def make_workcell(
     station: Station | None = None,
     meshcat: Meshcat | None = None,
     with_samples: bool = True,
+    masks_periodically: bool = True,
 ) -> Workcell:
     """Makes the closed loop of a scenario.
 
@@ -57,6 +58,7 @@ def make_workcell(
         station: Of the same scenario; None makes a simulated one.
         meshcat: Where to show the cell; None shows nothing.
         with_samples: Keep samples for a report; they grow with the run.
+        masks_periodically: See `make_monitor`.
 
     Returns:
         The Diagram, ready for a Simulator, and its parts.
@@ -68,7 +70,9 @@ def make_workcell(
     avatar = station.avatar
     monitor = builder.AddSystem(
         make_monitor(
-            scenario, person_radii=[] if avatar is None else avatar.radii
+            scenario,
+            person_radii=[] if avatar is None else avatar.radii,
+            masks_periodically=masks_periodically,
         )
     )
     for i in range(monitor.num_input_ports()):

@@ -18,6 +18,7 @@ from tofssm_drake.diagrams.hardware_run import (
     keep_interpreter_quiet,
     require_control_period,
     require_ready,
+    run_in_real_time,
     set_control_period,
     wait_for_robot,
 )
@@ -28,6 +29,7 @@ from tofssm_drake.diagrams.scenario import (
 )
 from tofssm_drake.diagrams.simulation import Progress
 from tofssm_drake.errors import UserError, require
+from tofssm_drake.evaluation.report import count_of
 from tofssm_drake.hardware.ring_address import (
     parse_ring_address,
     require_distinct,
@@ -56,6 +58,11 @@ _TOO_EARLY = "interrupted before the start"
 _AT_ZERO = 0.005
 # So long a refusal waits for a robot that it may put to 0, s.
 _RECONNECT = 1.0
+
+_NO_PRIORITY = (
+    "no real-time priority: other programs may delay the answers (see "
+    "docs/hardware.md)"
+)
 
 _console = Console(stderr=True, highlight=False)
 
@@ -271,6 +278,7 @@ def hardware(
                 with_samples=out is not None,
             )
         stack.enter_context(keep_interpreter_quiet())
+        is_real_time = stack.enter_context(run_in_real_time())
         run = HardwareRun(
             loop=loop,
             robot=robot,
@@ -288,6 +296,8 @@ def hardware(
             max_deviation=math.inf if any_pose else 0.5,
         )
         _console.print(describe_robot(status, scenario.control_period))
+        if not is_real_time:
+            _console.print(_NO_PRIORITY)
         end = _run(run, robot, link, stopped, duration, dry_run)
         robot.close()
         # The terminal may be gone.
@@ -417,6 +427,6 @@ def _write_report(loop, scenario, end, out, name, command, is_real):
         summary |= {"person_is_known": False, "ghost_s_by_ring": {}}
     write_results(samples, summary, out)
     print(
-        f"{end.result.products_placed} products placed in "
+        f"{count_of(end.result.products_placed, 'product')} placed in "
         f"{end.result.time:.1f} s; report: {out / 'report.html'}"
     )

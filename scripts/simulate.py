@@ -485,7 +485,7 @@ def tell(summary: dict, out: Path) -> None:
     """Prints what came of it and where the report is."""
     end = " until interrupted" if summary["interrupted"] else ""
     print(
-        f"{summary['products_placed']} products placed in "
+        f"{count_of(summary['products_placed'], 'product')} placed in "
         f"{summary['simulated_s']:.1f} s{end}; "
         f"{count_of(summary['stop_events'], 'stop')}, "
         f"{count_of(summary['contact_while_moving_events'], 'contact')} "

@@ -23,7 +23,11 @@ from tofssm_drake.hardware.ring_fault_injection import parse_ring_fault
 from tofssm_drake.hardware.rtde_client import RtdeClient, RtdeConfig
 from tofssm_drake.messages import RINGS
 import tofssm_drake.scripts.options as options
-from tofssm_drake.scripts.simulate import catch_stop, override
+from tofssm_drake.scripts.simulate import (
+    catch_stop,
+    interrupt_on_stop,
+    override,
+)
 
 _console = Console(stderr=True, highlight=False)
 
@@ -104,24 +108,26 @@ def simulated_rings(
     config.check("robot")
     sender = PtySender() if address is None else UdpSender(address)
     try:
-        rings = SimulatedRings(
-            scenario=scenario,
-            clocks=[
-                DeviceClock(start=100.0 * i, drift=1e-6 * drift)
-                for i in range(len(RINGS))
-            ],
-            faults=faults,
-            send=sender.send,
-        )
-        with catch_stop() as stopped, RtdeClient(config) as robot:
-            print(
-                f"simulated rings, {scenario.sensors_per_ring} sensors each, "
-                f"frames to {sender.target}",
-                flush=True,
-            )
-            _Run(rings, robot, stopped, duration).run(
-                iterate_wake_times(scenario)
-            )
+        with catch_stop() as stopped:
+            with interrupt_on_stop(stopped, "interrupted before the start"):
+                rings = SimulatedRings(
+                    scenario=scenario,
+                    clocks=[
+                        DeviceClock(start=100.0 * i, drift=1e-6 * drift)
+                        for i in range(len(RINGS))
+                    ],
+                    faults=faults,
+                    send=sender.send,
+                )
+            with RtdeClient(config) as robot:
+                print(
+                    f"simulated rings, {scenario.sensors_per_ring} sensors "
+                    f"each, frames to {sender.target}",
+                    flush=True,
+                )
+                _Run(rings, robot, stopped, duration).run(
+                    iterate_wake_times(scenario)
+                )
         print(
             "sent "
             + ", ".join(f"{ring} {n}" for ring, n in rings.sent.items())

@@ -10,7 +10,7 @@ from tofssm_drake.hardware.simulated_ur import SimulatedUr, SimulatedUrConfig
 from tofssm_drake.robot.kinematics import RingKinematics
 from tofssm_drake.robot.program import make_program_path
 from tofssm_drake.robot.twin import make_cell_plant
-from tofssm_drake.scripts.simulate import catch_stop
+from tofssm_drake.scripts.simulate import catch_stop, interrupt_on_stop
 
 
 def simulated_ur(
@@ -103,15 +103,9 @@ def simulated_ur(
         f"--skip-every: must be 0 or at least 2, got {skip_every}",
     )
     require(fragment >= 0, f"--fragment: must be 0 or more, got {fragment}")
-    kinematics = RingKinematics.from_plant(make_cell_plant())
-    robot = SimulatedUr(
-        config=config,
-        path=make_program_path(config.program, kinematics),
-        kinematics=kinematics,
-    )
-    # Compiles what the first cycle needs, so that the clock starts steady.
-    robot.step()
     with catch_stop() as stopped:
+        with interrupt_on_stop(stopped, "interrupted before the start"):
+            robot = _make_robot(config)
         server = RtdeServer(
             robot=robot,
             host=host,
@@ -126,6 +120,19 @@ def simulated_ur(
         print(describe(server), flush=True)
         server.run(lambda: bool(stopped))
     return 0
+
+
+def _make_robot(config):
+    """Returns a robot that needs no compiler any more."""
+    kinematics = RingKinematics.from_plant(make_cell_plant())
+    robot = SimulatedUr(
+        config=config,
+        path=make_program_path(config.program, kinematics),
+        kinematics=kinematics,
+    )
+    # Compiles what the first cycle needs, so that the clock starts steady.
+    robot.step()
+    return robot
 
 
 def describe(server: RtdeServer) -> str:

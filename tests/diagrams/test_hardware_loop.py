@@ -3,6 +3,7 @@
 import dataclasses as dc
 import types
 import unittest
+from unittest import mock
 
 import numpy as np
 
@@ -11,6 +12,7 @@ from tofssm_drake.diagrams.hardware_loop import (
     TickInput,
     describe_links,
 )
+from tofssm_drake.diagrams.hardware_run import HardwareRun, describe_state
 from tofssm_drake.diagrams.scenario import load_scenario
 from tofssm_drake.hardware.rtde_fields import (
     RobotMode,
@@ -19,7 +21,9 @@ from tofssm_drake.hardware.rtde_fields import (
 )
 from tofssm_drake.hardware.slider import SliderPhase
 from tofssm_drake.messages import (
+    RINGS,
     RingHealth,
+    RingScan,
     RobotReport,
     make_empty_separation,
 )
@@ -44,6 +48,8 @@ class Bench:
         self.echo = 1.0
         self.changes = {}
         self.count = 0
+        self.pause = 0.0
+        self.scans = ()
 
     def report(self):
         return RobotReport(
@@ -66,12 +72,13 @@ class Bench:
         )
 
     def tick(self):
-        time = self.count * _TICK
+        time = self.count * _TICK + self.pause
         report = self.report()
         result = self.loop.tick(
             TickInput(
                 time=time,
                 report=report,
+                scans=self.scans,
                 clock_offset=-_HOST,
             )
         )
@@ -148,6 +155,103 @@ class TestRobot(unittest.TestCase):
         self.assertEqual(self.sent[-1].speed_fraction, 0.0)
         # The heartbeat stands still, so that the robot's watchdog bites.
         self.assertEqual(self.sent[-1].heartbeat, self.sent[-2].heartbeat)
+
+
+class TestRehearsal(unittest.TestCase):
+    """Rings that are not virtual; scans come now and then."""
+
+    def run_bench(self, *, rehearse):
+        self.sent = []
+        scenario = load_scenario(text="{human: !NoHuman {}}")
+        loop = HardwareLoop(
+            scenario=scenario,
+            virtual_rings=False,
+            send=lambda command: self.sent.append(command) or True,
+        )
+        bench = Bench(loop, scenario)
+        said = []
+        for i in range(120):
+            if i < 80 and i % 3 == 0:
+                bench.scans = (self.make_scan(i),) * len(RINGS)
+            # A pause, after which the rehearsals have to catch up.
+            bench.pause = 0.5 if i >= 60 else 0.0
+            said.append(describe_state(bench.tick()))
+            # Not before each tick: a report may come early.
+            if rehearse and i % 10:
+                loop.rehearse()
+                loop.rehearse()
+        return said, [(c.mask, c.speed_fraction) for c in self.sent]
+
+    def make_scan(self, i):
+        time = _HOST + i * _TICK - 0.01
+        return RingScan(
+            sequence=i,
+            time=time,
+            sensor_time=np.full(8, time),
+            distance=np.full(8, 1.0 + 0.01 * i),
+            status=np.full(8, 0 if i < 40 else 4, dtype=np.uint8),
+        )
+
+    def test_nothing_follows_from_it(self):
+        said, sent = self.run_bench(rehearse=True)
+        self.assertEqual(len(sent), 120)
+        self.assertEqual((said, sent), self.run_bench(rehearse=False))
+        self.assertGreater(len({s["robot_state"] for s in said}), 1)
+
+    def test_comes_before_the_next_report_if_there_is_time(self):
+        for cycle, early, rehearsals in (
+            # Nothing is known before the third.
+            (0.008, 0.0, 8),
+            # Each second one comes early, and is answered at once.
+            (0.008, 0.003, 4),
+            (0.002, 0.0, 0),
+        ):
+            with self.subTest(cycle=cycle, early=early):
+                robot = Clockwork(cycle, early)
+                loop = mock.Mock()
+                run = HardwareRun(
+                    loop=loop,
+                    robot=robot,
+                    rings=None,
+                    period=cycle,
+                    clock=lambda r=robot: r.now,
+                )
+                for _ in range(10):
+                    self.assertIsNotNone(run.step())
+                    # The tick itself takes its time, too.
+                    robot.now += 0.0005
+                self.assertEqual(loop.tick.call_count, 10)
+                self.assertEqual(loop.rehearse.call_count, rehearsals)
+
+
+class Clockwork:
+    """A robot whose reports come on time, or a little early.
+
+    Args:
+        cycle: Between two reports, s.
+        early: By how much each second one comes too early, s.
+    """
+
+    def __init__(self, cycle, early):
+        self.now = 100.0
+        self._cycle = cycle
+        self._early = early
+        self._count = 0
+
+    def wait_for_report(self, *, after, timeout):
+        due = 100.0 + (self._count + 1) * self._cycle
+        due -= self._early * (self._count % 2)
+        if self.now + timeout >= due:
+            self.now = max(self.now, due)
+            self._count += 1
+        else:
+            self.now += max(timeout, 0.0)
+        return RobotReport(
+            sequence=self._count - 1,
+            session=0,
+            time=self.now,
+            timestamp=self._count * self._cycle,
+        )
 
 
 class TestLinks(unittest.TestCase):

@@ -167,7 +167,12 @@ class TestFigures(unittest.TestCase):
             run[f"{ring}_d_R"][:] = np.inf
             run[f"{ring}_measured_distance"][:] = np.nan
         for make in (mut.make_timeline, mut.make_plan, mut.make_rings):
-            self.assertIn("<svg", mut.to_svg(make(run)))
+            figure = make(run)
+            self.assertIn("<svg", mut.to_svg(figure))
+            # What is not known is not in the legend either.
+            self.assertFalse(
+                [t for t in self._get_texts(figure) if t.startswith("true")]
+            )
 
     def test_no_scans(self):
         run = make_run(2.0)

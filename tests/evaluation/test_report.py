@@ -134,6 +134,8 @@ class TestReport(unittest.TestCase):
             self.assertNotIn(word, page)
         self.assertIn('<td class="n">not known</td>', page)
         self.assertIn("not known: real rings", page)
+        self.assertNotIn("true distance with", page)
+        self.assertNotIn("measured and true", page)
         # In a simulation it is known.
         page = mut.make_report(run, calc_summary(run, products=10))
         self.assertIn("nobody<", page)
@@ -241,6 +243,15 @@ class TestWords(unittest.TestCase):
         self.assertEqual(
             grades["All 10 products were placed in 2.0 s."], "good"
         )
+        for products, placed, sentence in (
+            (1, 1, "The product was placed in 2.0 s."),
+            (1, 0, "0 of 1 product was placed in the 2.0 s"),
+        ):
+            run["products_placed"][-1] = placed
+            verdict = mut.make_verdict(
+                calc_summary(run, products=products), products=products
+            )
+            self.assertIn(sentence, str(verdict))
         run["true_distance"][50] = -0.01
         verdict = mut.make_verdict(calc_summary(run), products=10)
         self.assertIn("while it stood still", verdict[0][1])

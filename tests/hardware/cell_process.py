@@ -3,6 +3,7 @@
 import contextlib
 import dataclasses as dc
 import math
+import os
 from pathlib import Path
 import re
 import signal
@@ -25,6 +26,8 @@ _MAIN = ("-m", "tofssm_drake.scripts.main")
 PATIENT = (Path(__file__).parent / "patient_runner.py",)
 # The slowest machine on which a process still starts in time, s.
 _PATIENCE = 120.0
+# Above that of a runner.
+_ROBOT_PRIORITY = 20
 # A robot that does not rest within that time never does, s.
 _REST = 15.0
 
@@ -195,6 +198,13 @@ class CellProcess:
             *("simulated-ur", "--host", self.host, "--dashboard-port", 0),
             *("--start", "heartbeat", "--watchdog", 0.2, "--loop"),
         )
+        # A real controller is a computer of its own: nothing may delay it.
+        with contextlib.suppress(PermissionError):
+            os.sched_setscheduler(
+                self.robot.process.pid,
+                os.SCHED_FIFO,
+                os.sched_param(_ROBOT_PRIORITY),
+            )
         self.rings = None
         self.address = "virtual"
         if rings is not None:

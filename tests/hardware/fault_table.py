@@ -256,18 +256,6 @@ def measure_ends(table: Table, folder: Path) -> None:
             runner.process.wait()
             trigger.unlink()
             table.add("exception in a system", seen, _last_line(runner))
-            # Some seconds of a run, then what would be beyond fails.
-            runner = cell.start_runner(
-                *("--record", folder / "run.mcap"), limit_file_size=8000
-            )
-            cell.wait_for_full_speed(runner)
-            start = time.monotonic()
-            runner.process.wait()
-            seen = cell.watcher.see(start)
-            up = [r for r in seen.reports if r.target_speed_fraction > 0]
-            seen.zero -= up[-1].time - start
-            seen.still -= up[-1].time - start
-            table.add("disk full", seen, _last_line(runner))
         runner = cell.start_runner()
         cell.wait_for_full_speed(runner)
         start = time.monotonic()
@@ -280,8 +268,27 @@ def measure_ends(table: Table, folder: Path) -> None:
         with CellProcess("pty") as cell:
             runner = cell.start_runner()
             seen = _measure(cell, runner, cell.rings.process.kill)
-            time.sleep(0.5)
-            table.add("rings unplugged", seen, _last_line(runner))
+            # Its name may soon be that of another terminal.
+            says = runner.wait_for("rings: .* is gone: .*")[0]
+            table.add("rings unplugged", seen, says)
+        # A robot that has placed no products yet: the run would end with them.
+        with CellProcess() as cell:
+            measure_full_disk(table, cell, folder)
+
+
+def measure_full_disk(table: Table, cell: CellProcess, folder: Path) -> None:
+    """Some seconds of a run, then what would be beyond fails."""
+    runner = cell.start_runner(
+        *("--record", folder / "run.mcap"), limit_file_size=4000
+    )
+    cell.wait_for_full_speed(runner)
+    start = time.monotonic()
+    runner.process.wait()
+    seen = cell.watcher.see(start)
+    up = [r for r in seen.reports if r.target_speed_fraction > 0]
+    seen.zero -= up[-1].time - start
+    seen.still -= up[-1].time - start
+    table.add("disk full", seen, _last_line(runner))
 
 
 def main():

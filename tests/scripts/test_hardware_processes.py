@@ -73,7 +73,9 @@ class TestRings(unittest.TestCase):
             seen = cell.watcher.see(start)
             self.assertLess(seen.still, math.inf)
             self.assertEqual(seen.slider, 0.0)
-            self.assertEqual(runner.process.wait(30.0), 130)
+            self.assertEqual(
+                runner.process.wait(30.0), 130, runner.err + runner.out
+            )
             self.assertIn("interrupted; slider set to 0", runner.out)
             self.check_record(path, "sample is")
             # Another one is killed: the robot's watchdog does the rest.

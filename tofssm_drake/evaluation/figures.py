@@ -311,6 +311,13 @@ def _draw_least(ax, t, y, narrow, **style):
     ax.plot(time, least, drawstyle=drawstyle, **style)
 
 
+def _draw_true(ax, t, true, narrow, **style):
+    """Draws the true distance, if any is known: of real people none is."""
+    if np.isfinite(true).any():
+        style |= {"color": BLACK, "linestyle": (0, (5, 1.5))}
+        _draw_least(ax, t, true, narrow, **style)
+
+
 def _is_close(samples):
     """Whether the time shown is so short that every sample can be seen."""
     return len(samples) <= _count_buckets(True) * 5
@@ -443,14 +450,12 @@ def _draw_distance(ax, samples, columns, narrow, top, touched):
         linewidth=1.6,
         label=f"measured by {get_watcher(samples)}",
     )
-    _draw_least(
+    _draw_true(
         ax,
         t,
         true,
         narrow,
-        color=BLACK,
         linewidth=1.1,
-        linestyle=(0, (5, 1.5)),
         label="true, surface to surface",
     )
     top = top or _limit_distance(reduced, measured)
@@ -728,14 +733,12 @@ def _draw_ring_distance(ax, samples, ring, columns, narrow):
     critical = _finite(samples[f"{ring}_d_C"])
     _draw_band(ax, t, reduced, ORANGE, "slow below $d_R$", narrow)
     _draw_band(ax, t, critical, VERMILLION, "stop below $d_C$", narrow)
-    _draw_least(
+    _draw_true(
         ax,
         t,
         true,
         narrow,
-        color=BLACK,
         linewidth=1.0,
-        linestyle=(0, (5, 1.5)),
         label="true, from link centre"
         if ring in RINGS
         else f"true, from the {ring}",

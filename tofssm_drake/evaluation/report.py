@@ -135,13 +135,19 @@ def make_verdict(
     placed, time = summary["products_placed"], summary["task_time_s"]
     if time is not None:
         verdict.append(
-            ("good", f"All {products} products were placed in {time:.1f} s.")
+            (
+                "good",
+                f"All {products} products were placed in {time:.1f} s."
+                if products > 1
+                else f"The product was placed in {time:.1f} s.",
+            )
         )
     else:
         verdict.append(
             (
                 "note",
-                f"{placed} of {products} products were placed in the "
+                f"{placed} of {count_of(products, 'product')} "
+                f"{'was' if products == 1 else 'were'} placed in the "
                 f"{summary['simulated_s']:.1f} s that were simulated."
                 + _describe_due(summary),
             )
@@ -495,12 +501,15 @@ def _make_episode_row(episode: Episode, is_known: bool):
     }
 
 
-def _make_figures(samples, events, contacts):
+def _make_figures(samples, events, contacts, is_known):
+    distances = (
+        "measured and true distance" if is_known else "measured distance"
+    )
     result = {
         "timeline": make_picture(
             figures.make_timeline,
-            "Robot state, tool speed with speed fraction, and measured and "
-            "true distance with the thresholds, over the time of the run.",
+            f"Robot state, tool speed with speed fraction, and {distances} "
+            "with the thresholds, over the time of the run.",
             samples,
         ),
         "plan": make_picture(
@@ -511,8 +520,8 @@ def _make_figures(samples, events, contacts):
         ),
         "rings": make_picture(
             figures.make_rings,
-            "For each watched link: measured and true distance with the "
-            "thresholds, and with rings every sensor's readings over time.",
+            f"For each watched link: {distances} with the thresholds, and "
+            "with rings every sensor's readings over time.",
             samples,
         ),
     }
@@ -571,7 +580,9 @@ def make_report(
         configuration=_CONFIGURATION.get(ssm),
         shortfall=_SHORTFALL.get(ssm),
         figures=(
-            _make_figures(samples, events, contacts) if has_samples else {}
+            _make_figures(samples, events, contacts, is_known)
+            if has_samples
+            else {}
         ),
         has_samples=has_samples,
         recording=recording,

@@ -7,6 +7,7 @@ robot.
 """
 
 from collections.abc import Callable, Sequence
+import contextlib
 import dataclasses as dc
 import errno
 import os
@@ -342,7 +343,9 @@ class RingLink:
         """Ends the thread and closes everything; may be called again."""
         self._closing = True
         if self._thread.is_alive():
-            self._wake.send(b"\0")
+            # It may be about to end by itself: a frame has just come.
+            with contextlib.suppress(OSError):
+                self._wake.send(b"\0")
             self._thread.join()
         self._wake.close()
 

@@ -606,6 +606,7 @@ class OcclusionMask(LeafSystem):
         caster: RayCaster,
         bundles: RayBundles,
         twin: Twin,
+        masks_periodically: bool = True,
         name: tuple[str, ...] = RINGS,
     ):
         """Constructs the system.
@@ -617,6 +618,9 @@ class OcclusionMask(LeafSystem):
             bundles: the rings' rays by that caster, see `make_mask_bundles`;
                 as many for each ring.
             twin: gives the poses of `caster.frame_ids`.
+            masks_periodically: look at the scans at each control tick; else
+                only in forced updates, which spare a loop the copy of the
+                Diagram's whole State.
             name: the rings, in the order of `bundles`.
 
         Raises:
@@ -660,7 +664,9 @@ class OcclusionMask(LeafSystem):
             self.DeclareStateOutputPort(f"masked_scan_{ring}", index)
         # Two events: most ticks bring no scan, and what follows from the
         # masked scans is then not computed again.
-        self.DeclarePeriodicUnrestrictedUpdateEvent(period, 0.0, self._mask)
+        if masks_periodically:
+            self.DeclarePeriodicUnrestrictedUpdateEvent(period, 0.0, self._mask)
+        self.DeclareForcedUnrestrictedUpdateEvent(self._mask)
         self.DeclarePeriodicDiscreteUpdateEvent(period, 0.0, self._remember)
 
     def _remember(self, context: Context, discrete_state: DiscreteValues):

@@ -2,7 +2,7 @@
 
 from tofssm_drake.messages import RingHealth, SafetyIndex, Separation
 
-_WORKING = (RingHealth.HEALTHY, RingHealth.BLIND)
+_WORKING = (int(RingHealth.HEALTHY), int(RingHealth.BLIND))
 
 
 def find_sensing_problem(
@@ -20,12 +20,18 @@ def find_sensing_problem(
         now: Time, s, on the clock of `index.time`.
         deadline: The law's, s.
     """
-    for i, name in enumerate(index.name):
-        if index.sequence[i] < 0:
+    for name, sequence, health, time in zip(
+        index.name,
+        index.sequence.tolist(),
+        index.health.tolist(),
+        index.time.tolist(),
+        strict=True,
+    ):
+        if sequence < 0:
             return f"{name} has no sample yet"
-        if index.health[i] not in _WORKING:
+        if health not in _WORKING:
             return f"{name} is faulted"
         # Not a number is too old, too.
-        if not abs(now - index.time[i]) <= deadline:
+        if not abs(now - time) <= deadline:
             return f"{name} sample is too old"
     return ""

@@ -1,0 +1,59 @@
+"""What surrounds the loop on a real robot."""
+
+import os
+import threading
+import unittest
+from unittest import mock
+
+from tofssm_drake.diagrams import hardware_run as mut
+
+
+class Scheduler:
+    """Stands in for the system's; refuses if it is told to."""
+
+    def __init__(self, *, refuses=False, policy=os.SCHED_OTHER):
+        self.refuses = refuses
+        self.policies = {t.native_id: policy for t in threading.enumerate()}
+        self.policies[0] = policy
+
+    def get(self, number):
+        return self.policies[number]
+
+    def set(self, number, policy, parameters):
+        if self.refuses:
+            raise PermissionError(1, "not permitted")
+        self.policies[number] = policy
+        if number == threading.get_native_id():
+            self.policies[0] = policy
+
+    def run(self):
+        """Returns what is yielded, and the policies within."""
+        with (
+            mock.patch.object(os, "sched_getscheduler", self.get),
+            mock.patch.object(os, "sched_setscheduler", self.set),
+            mut.run_in_real_time() as granted,
+        ):
+            return granted, set(self.policies.values())
+
+
+class TestRealTime(unittest.TestCase):
+    def setUp(self):
+        done = threading.Event()
+        thread = threading.Thread(target=done.wait)
+        thread.start()
+        self.addCleanup(thread.join)
+        self.addCleanup(done.set)
+
+    def test_all_threads_and_back(self):
+        scheduler = Scheduler()
+        self.assertEqual(scheduler.run(), (True, {os.SCHED_FIFO}))
+        self.assertEqual(set(scheduler.policies.values()), {os.SCHED_OTHER})
+
+    def test_refused(self):
+        scheduler = Scheduler(refuses=True)
+        self.assertEqual(scheduler.run(), (False, {os.SCHED_OTHER}))
+
+    def test_what_it_was_started_with_stays(self):
+        scheduler = Scheduler(policy=os.SCHED_RR)
+        self.assertEqual(scheduler.run(), (True, {os.SCHED_RR}))
+        self.assertEqual(set(scheduler.policies.values()), {os.SCHED_RR})

@@ -1,0 +1,44 @@
+"""`tofssm simulated-ur` and `simulated-rings` before they are ready."""
+
+import contextlib
+import io
+import os
+import signal
+import time
+import unittest
+from unittest import mock
+
+from tofssm_drake.hardware.simulated_ur import SimulatedUr
+from tofssm_drake.scripts import simulated_rings
+from tofssm_drake.scripts.main import run
+
+
+class TestInterrupt(unittest.TestCase):
+    def test_while_kernels_are_compiled(self):
+        for owner, name, arguments in (
+            (SimulatedUr, "step", ("simulated-ur", "--port", "0")),
+            (
+                simulated_rings,
+                "SimulatedRings",
+                ("simulated-rings", "--to", "udp://127.0.0.1:5005"),
+            ),
+        ):
+            for number in (signal.SIGINT, signal.SIGTERM):
+
+                def compile_long(*_, number=number, **__):
+                    os.kill(os.getpid(), number)
+                    time.sleep(30.0)
+
+                out, err = io.StringIO(), io.StringIO()
+                with (
+                    self.subTest(arguments=arguments, number=number),
+                    mock.patch.object(owner, name, compile_long),
+                    contextlib.redirect_stdout(out),
+                    contextlib.redirect_stderr(err),
+                ):
+                    self.assertEqual(run(list(arguments)), 130)
+                    self.assertEqual(out.getvalue(), "")
+                    self.assertEqual(
+                        err.getvalue(),
+                        "tofssm: interrupted before the start\n",
+                    )
