@@ -36,6 +36,8 @@ class Figures:
     """The same where the command began to fall in that tick."""
     missed: int
     """Packages that never came, by the robot's clock."""
+    left_out: int
+    """Those of them that the robot did not send, as it was late itself."""
     unanswered: int
     """Packages that were not answered since a newer one was there."""
     ticks: int
@@ -67,6 +69,7 @@ def read_figures(path: Path, notes: dict | None = None) -> Figures:
         frame=frame,
         change=change,
         missed=ticks[-1].report.missed - ticks[0].report.missed,
+        left_out=_count_left_out(ticks, notes, period),
         unanswered=int((np.diff(sequence) - 1).sum()),
         ticks=len(ticks),
         busy=(ticks[-1].busy - ticks[0].busy) / elapsed,
@@ -89,6 +92,18 @@ def _find_trips(ticks: list[RecordedTick], notes):
             if t.command.heartbeat in received
         ]
     ).reshape(-1, 3)
+
+
+def _count_left_out(ticks, notes, period):
+    """Returns how many cycles were over at once with the one after them.
+
+    A robot that is late catches up like this, and sends the last one only.
+    """
+    if notes is None:
+        return 0
+    first, last = ticks[0].report.timestamp, ticks[-1].report.timestamp
+    times = [t for stamp, t in notes["stepped"] if first <= stamp <= last]
+    return int((np.diff(times) < 0.2 * period).sum())
 
 
 def _find_frames(path, run, ticks):

@@ -75,6 +75,7 @@ def list_figures(figures):
             yield f"{name}, {part}, cycles", value / figures.period
     yield "packages", figures.ticks
     yield "packages missed", figures.missed
+    yield "of them not sent by the robot", figures.left_out
     yield "packages not answered", figures.unanswered
     yield "CPU of one core, %", 100.0 * figures.busy
 
