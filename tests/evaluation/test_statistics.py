@@ -103,5 +103,19 @@ class TestRateBound(unittest.TestCase):
         self.assertAlmostEqual(mut.calc_rate_bound(299), 0.01, places=4)
 
 
+class TestFormat(unittest.TestCase):
+    def test_what_rounds_to_nothing_has_no_minus(self):
+        value = mut.calc_estimate([-0.001, -0.002, -0.003])
+        for digits, sign, text in (
+            (1, False, "0.0 \u00b1 0.0"),
+            (1, True, "+0.0 \u00b1 0.0"),
+            (3, True, "\u22120.002 \u00b1 0.002"),
+        ):
+            with self.subTest(text):
+                self.assertEqual(
+                    mut.format_estimate(value, digits=digits, sign=sign), text
+                )
+
+
 if __name__ == "__main__":
     unittest.main()

@@ -45,7 +45,8 @@ def format_estimate(value: Estimate, *, digits: int = 3, sign=False) -> str:
     """Returns `mean +- half width`; an en dash where there is none."""
     if not value.count:
         return "\u2013"
-    text = f"{value.mean:{'+' if sign else ''}.{digits}f}"
+    # z: what rounds to nothing has no sign of its own.
+    text = f"{value.mean:{'+' if sign else ''}z.{digits}f}"
     text = text.replace("-", "\u2212")
     if math.isfinite(value.half_width):
         text += f" \u00b1 {value.half_width:.{digits}f}"
