@@ -56,6 +56,8 @@ class TickInput:
     report: RobotReport
     scans: tuple[RingScan, ...] = ()
     """Newest scan of each ring on the host's clock; of virtual ones none."""
+    early_scans: tuple[RingScan, ...] = ()
+    """What `HardwareLoop.take_scans` was handed since the tick before."""
     clock_offset: float = 0.0
     """What the Diagram's clock shows more than the host's, s."""
 
@@ -171,6 +173,7 @@ class _Ticker:
         self._reasons_for = self._reason = None
         self._taken = None
         self._rings = None
+        self._offset = 0.0
         if workcell.station.rings is not None:
             self._rings = station.GetSubsystemByName("ring_subscriber")
             self._ring_context = self._rings.GetMyMutableContextFromRoot(root)
@@ -188,14 +191,15 @@ class _Ticker:
         """
         if not self._initialized:
             # With the first report, or the record would begin without one.
-            self._show_offset(given)
+            self._show_offset(given.clock_offset)
             self.simulator.Initialize()
             self._initialized = True
             # The events of the first tick come with the first advance.
-            self._take_scans(given)
+            self.take_scans(given.scans)
         self._robot_context.SetAbstractState(0, given.report)
         self.simulator.AdvanceTo(given.time)
-        self._take_scans(given)
+        self._offset = given.clock_offset
+        self.take_scans(given.scans)
         # The tick's own events: without it they would wait for the next one.
         self.simulator.AdvancePendingEvents()
         problem = find_sensing_problem(
@@ -226,24 +230,32 @@ class _Ticker:
             self._reason = self.ask("reason")
         return self._reason
 
-    def _show_offset(self, given):
-        if self._rings is not None:
-            offset = self._clock_offset.GetMutableData().get_mutable_value()
-            offset[0] = given.clock_offset
+    def take_scans(self, scans: tuple[RingScan, ...]) -> bool:
+        """Lets subscriber and mask look, if there is anything to see.
 
-    def _take_scans(self, given):
-        """Lets subscriber and mask look, if there is anything to see."""
-        if self._rings is None:
-            return
-        if [scan.sequence for scan in given.scans] == self._taken:
-            return
-        self._show_offset(given)
+        Args:
+            scans: The newest; the station's connection holds the same.
+
+        Returns:
+            Whether there was; never before the first tick.
+        """
+        if self._rings is None or not self._initialized:
+            return False
+        if [scan.sequence for scan in scans] == self._taken:
+            return False
+        self._show_offset(self._offset)
         _update(self._rings, self._ring_context)
         _update(self._mask, self._mask_context)
         self._taken = [
             self._rings.get_output_port(i).Eval(self._ring_context).sequence
             for i in range(len(RINGS))
         ]
+        return True
+
+    def _show_offset(self, clock_offset):
+        if self._rings is not None:
+            offset = self._clock_offset.GetMutableData().get_mutable_value()
+            offset[0] = self._offset = clock_offset
 
 
 class HardwareLoop:
@@ -324,6 +336,7 @@ class HardwareLoop:
         Returns:
             What the monitor says of it and what was sent.
         """
+        self.take_scans(given.early_scans)
         self._hold(given)
         self._sent = math.nan
         slider, problem = self._ticker.tick(given)
@@ -332,6 +345,24 @@ class HardwareLoop:
         if self._board is not None:
             self._board.show(describe_links(result, deadline=self._deadline))
         return result
+
+    def take_scans(self, scans: tuple[RingScan, ...]) -> bool:
+        """Takes scans before their tick, which then answers sooner.
+
+        What they mean is told as of the last tick, as if they had come just
+        before it. To be called at most once between two ticks; the next one is
+        handed the same scans as `early_scans`, so that its record tells.
+
+        Args:
+            scans: Newest scan of each ring on the host's clock.
+
+        Returns:
+            Whether there was anything new.
+        """
+        if not scans:
+            return False
+        self._station.rings.scans = scans
+        return self._ticker.take_scans(scans)
 
     def rehearse(self) -> None:
         """Makes the last tick once more, on another Context.

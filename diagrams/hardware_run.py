@@ -257,6 +257,7 @@ class HardwareRun:
         self._sequence = -1
         self._heard = clock()
         self._timestamp = self._cycle = -math.inf
+        self._early_scans = ()
         self.ticks = 0
         """Reports answered."""
 
@@ -327,26 +328,41 @@ class HardwareRun:
         given = TickInput(
             time=tick_time,
             report=report,
-            scans=() if self._rings is None else self._rings.get_scans(),
+            scans=self._get_scans(),
+            early_scans=self._early_scans,
             clock_offset=self._robot_clock.offset,
         )
+        self._early_scans = ()
         result = self._loop.tick(given)
         self.ticks += 1
         if self._record is not None:
             self._record.add_tick(make_recorded_tick(given, result))
         return result
 
+    def _get_scans(self):
+        return () if self._rings is None else self._rings.get_scans()
+
     def _wait_for_report(self):
-        """Waits, and rehearses shortly before the next report is due."""
-        if _LEAST_CYCLE <= self._cycle <= _WAIT:
+        """Waits; before the next report is due, does what can be done."""
+        if self._early_scans or not 0.0 < self._cycle <= _WAIT:
+            return self._wait(_WAIT)
+        can_rehearse = self._cycle >= _LEAST_CYCLE
+        if can_rehearse:
             due = self._heard + self._cycle - _REHEARSAL
-            report = self._robot.wait_for_report(
-                after=self._sequence, timeout=due - self._clock()
-            )
+            report = self._wait(due - self._clock())
             if report.sequence > self._sequence:
                 return report
+        scans = self._get_scans()
+        if self._loop.take_scans(scans):
+            self._early_scans = scans
+        if can_rehearse:
             self._loop.rehearse()
-        return self._robot.wait_for_report(after=self._sequence, timeout=_WAIT)
+        return self._wait(_WAIT)
+
+    def _wait(self, timeout):
+        return self._robot.wait_for_report(
+            after=self._sequence, timeout=timeout
+        )
 
 
 def make_recorded_tick(given: TickInput, result: TickResult) -> RecordedTick:
@@ -356,6 +372,7 @@ def make_recorded_tick(given: TickInput, result: TickResult) -> RecordedTick:
         clock_offset=given.clock_offset,
         report=given.report,
         scans=given.scans,
+        early_scans=given.early_scans,
         command=result.slider.command,
         state=describe_state(result),
         sent=result.sent,

@@ -103,7 +103,7 @@ class TestFaults(unittest.TestCase):
     def test_robot_whose_reports_are_late(self):
         cell = self.cell
         cell.delay = 0.15
-        self.check(zero=0.65, still=0.65, health="sample is .* s old")
+        self.check(zero=0.66, still=0.66, health="sample is .* s old")
         cell.delay = 0.0
         self.check_return()
 

@@ -1,6 +1,7 @@
 """The monitor on a robot that is handed its data by a test."""
 
 import dataclasses as dc
+import itertools
 import types
 import unittest
 from unittest import mock
@@ -49,7 +50,7 @@ class Bench:
         self.changes = {}
         self.count = 0
         self.pause = 0.0
-        self.scans = ()
+        self.scans = self.early_scans = ()
 
     def report(self):
         return RobotReport(
@@ -79,9 +80,11 @@ class Bench:
                 time=time,
                 report=report,
                 scans=self.scans,
+                early_scans=self.early_scans,
                 clock_offset=-_HOST,
             )
         )
+        self.early_scans = ()
         self.count += 1
         command = result.slider.command
         if command.mask:
@@ -222,6 +225,88 @@ class TestRehearsal(unittest.TestCase):
                     robot.now += 0.0005
                 self.assertEqual(loop.tick.call_count, 10)
                 self.assertEqual(loop.rehearse.call_count, rehearsals)
+
+
+class TestEarlyScans(unittest.TestCase):
+    """Scans that are taken before their tick."""
+
+    def run_bench(self, how):
+        """Returns what was said; a scan comes before each third tick.
+
+        It is taken `live`, as on a robot; in the next tick as in a `replay`;
+        or `late`, not before the tick. Each one tells something else.
+        """
+        scenario = load_scenario(text="{human: !NoHuman {}}")
+        loop = HardwareLoop(scenario=scenario, virtual_rings=False)
+        bench = Bench(loop, scenario)
+        bench.scans = (RingScan(),) * len(RINGS)
+        said, taken = [], []
+        for i in range(40):
+            if i % 3 == 1:
+                bench.scans = (self.make_scan(i),) * len(RINGS)
+                if how != "late":
+                    bench.early_scans = bench.scans
+                if how == "live":
+                    taken.append(loop.take_scans(bench.scans))
+            said.append(describe_state(bench.tick()))
+        return said, taken
+
+    def make_scan(self, i):
+        # What is ahead of the last tick has to wait for the next.
+        age = 0.004 if i > 20 else 0.02
+        time = _HOST + i * _TICK - age
+        return RingScan(
+            sequence=i,
+            time=time,
+            sensor_time=np.full(8, time),
+            distance=np.full(8, 1.0 + 0.01 * i),
+            status=np.zeros(8, dtype=np.uint8),
+        )
+
+    def test_replay_says_the_same(self):
+        said, taken = self.run_bench("live")
+        self.assertEqual(taken, [True] * 13)
+        self.assertEqual(said, self.run_bench("replay")[0])
+        # Here nothing moves: it does not matter when they were taken.
+        self.assertEqual(said, self.run_bench("late")[0])
+        self.assertGreater(len({str(s["distance"]) for s in said}), 10)
+
+    def test_nothing_new(self):
+        scenario = load_scenario(text="{human: !NoHuman {}}")
+        loop = HardwareLoop(scenario=scenario, virtual_rings=False)
+        bench = Bench(loop, scenario)
+        bench.scans = (RingScan(),) * len(RINGS)
+        scans = (self.make_scan(1),) * len(RINGS)
+        # Nothing is known of the robot yet.
+        self.assertFalse(loop.take_scans(scans))
+        bench.tick()
+        self.assertFalse(loop.take_scans(()))
+        self.assertTrue(loop.take_scans(scans))
+        self.assertFalse(loop.take_scans(scans))
+
+    def test_between_two_reports(self):
+        """Taken once, and handed to the tick that follows."""
+        for cycle in (0.008, 0.002):
+            with self.subTest(cycle=cycle):
+                robot = Clockwork(cycle, 0.0)
+                loop = mock.Mock()
+                rings = mock.Mock()
+                rings.get_scans.side_effect = itertools.count()
+                run = HardwareRun(
+                    loop=loop,
+                    robot=robot,
+                    rings=rings,
+                    period=cycle,
+                    clock=lambda r=robot: r.now,
+                )
+                for _ in range(5):
+                    run.step()
+                    robot.now += 0.0005
+                given = [c.args[0] for c in loop.tick.call_args_list]
+                taken = [c.args[0] for c in loop.take_scans.call_args_list]
+                self.assertEqual(taken, [t.early_scans for t in given[2:]])
+                self.assertEqual([t.scans - 1 for t in given[2:]], taken)
+                self.assertEqual([t.early_scans for t in given[:2]], [()] * 2)
 
 
 class Clockwork:

@@ -15,7 +15,7 @@ import tofssm_drake.hardware.run_record as mut
 from tofssm_drake.messages import RingScan, RobotReport, SliderCommand
 
 
-def make_tick(k, scans):
+def make_tick(k, scans, early_scans=()):
     return mut.RecordedTick(
         time=0.008 * k,
         clock_offset=-100.0 / 3.0,
@@ -23,6 +23,7 @@ def make_tick(k, scans):
             sequence=k, session=0, time=1e5 / 3 + k, timestamp=k / 3
         ),
         scans=scans,
+        early_scans=early_scans,
         command=SliderCommand(sequence=k, speed_fraction=1 / 3, heartbeat=k),
         state={
             "robot_state": 1,
@@ -90,6 +91,25 @@ class TestRunRecord(unittest.TestCase):
             self.assert_equal(was.command, now.command)
             for a, b in zip(was.scans, now.scans, strict=True):
                 self.assert_equal(a, b)
+            self.assertEqual(now.early_scans, ())
+
+    def test_scans_that_were_taken_early(self):
+        a, b, c = map(make_scan, range(3))
+        ticks = [
+            make_tick(0, (a, a)),
+            make_tick(1, (b, b), (b, a)),
+            make_tick(2, (b, b)),
+            make_tick(3, (c, b), (c, b)),
+        ]
+        with mut.RunRecorder(self.path, {}) as recorder:
+            for tick in ticks:
+                recorder.add_tick(tick)
+        for was, now in zip(
+            ticks, mut.RunReader(self.path).read_ticks(), strict=True
+        ):
+            for name in ("scans", "early_scans"):
+                for x, y in zip(vars(was)[name], vars(now)[name], strict=True):
+                    self.assert_equal(x, y)
 
     def test_a_file_that_ends_anywhere_is_read_so_far(self):
         self.write(50)
@@ -211,7 +231,7 @@ class TestRunRecord(unittest.TestCase):
         }
         with mut.RunRecorder(self.path, run) as recorder:
             recorder.add_tick(nothing)
-            recorder.add_tick(make_tick(1, (scan, scan)))
+            recorder.add_tick(make_tick(1, (scan, scan), (scan, scan)))
             recorder.add_tick(make_tick(2, (scan, scan)))
         for topic, count in (("/run", 1), ("/tick", 3), ("/monitor", 3)):
             messages = self.read_messages(topic)

@@ -43,7 +43,7 @@ from tofssm_drake.messages import (
 
 _MAGIC = b"\x89MCAP0\r\n"
 _FLUSH_PERIOD = 0.25
-_VERSION = 2
+_VERSION = 3
 _TOKENS = re.compile(r'"(?:[^"\\]|\\.)*"|NaN|Infinity')
 _REPLACED = {"NaN": "null", "Infinity": "1e999"}
 
@@ -106,6 +106,13 @@ def _fill(cls, values):
     return cls(**fields)
 
 
+def _update_scans(scans, new):
+    """Puts new scans, as they were written, to the others; returns all."""
+    for scan in new:
+        scans[scan["ring"]] = _fill(RingScan, scan)
+    return tuple(scans[i] for i in range(len(scans)))
+
+
 @dc.dataclass(frozen=True, eq=False, kw_only=True)
 class RecordedTick:
     """One tick of a record."""
@@ -119,6 +126,8 @@ class RecordedTick:
     """Newest scan of each ring, on the host's clock; of virtual ones none."""
     command: SliderCommand
     """What was sent, or would have been in a dry run."""
+    early_scans: tuple[RingScan, ...] = ()
+    """Those that were taken right after the tick before; none: not so."""
     state: dict
     """What the monitor said: robot_state, ring_states, reason, ..."""
     sent: float = math.nan
@@ -241,13 +250,11 @@ class RunRecorder:
             UserError: Something before could not be written.
         """
         self._raise_error()
-        scans = [
-            {"ring": i, **_make_plain(scan)}
-            for i, scan in enumerate(tick.scans)
-            if i >= len(self._scans) or scan is not self._scans[i]
-        ]
-        self._scans = tick.scans
-        values = _make_plain(tick) | {"scans": scans}
+        early_scans = self._list_new(tick.early_scans)
+        values = _make_plain(tick) | {"scans": self._list_new(tick.scans)}
+        del values["early_scans"]
+        if early_scans:
+            values["early_scans"] = early_scans
         time = tick.report.time
         self._add(_TICK, encode_json(values), time)
         self._add(_MONITOR, encode_json(make_monitor_message(tick)), time)
@@ -276,6 +283,16 @@ class RunRecorder:
             self._writer.finish()
         self._flush()
         self._file.close()
+
+    def _list_new(self, scans):
+        """Returns the scans that were not written yet, as plain values."""
+        new = [
+            {"ring": i, **_make_plain(scan)}
+            for i, scan in enumerate(scans)
+            if i >= len(self._scans) or scan is not self._scans[i]
+        ]
+        self._scans = scans or self._scans
+        return new
 
     def _add_json_channel(self, topic):
         schema = self._writer.register_schema(
@@ -394,13 +411,15 @@ class RunReader:
         end = "its begin"
         for values in self._read(_TICK):
             try:
-                for scan in values["scans"]:
-                    scans[scan["ring"]] = _fill(RingScan, scan)
+                early_scans = ()
+                if "early_scans" in values:
+                    early_scans = _update_scans(scans, values["early_scans"])
                 tick = RecordedTick(
                     time=values["time"],
                     clock_offset=values["clock_offset"],
                     report=_fill(RobotReport, values["report"]),
-                    scans=tuple(scans[i] for i in range(len(scans))),
+                    early_scans=early_scans,
+                    scans=_update_scans(scans, values["scans"]),
                     command=_fill(SliderCommand, values["command"]),
                     state=values["state"],
                     sent=values.get("sent", math.nan),

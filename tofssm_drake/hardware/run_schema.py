@@ -57,6 +57,11 @@ def _make_enum(kind: type[enum.IntEnum]):
     }
 
 
+_SCANS = {
+    "type": "array",
+    "items": _make_message(RingScan(), ring=_INTEGER),
+}
+
 SCHEMAS = {
     "/run": _make_object(
         ("slider_limit",),
@@ -70,14 +75,12 @@ SCHEMAS = {
         slider_limit=_NUMBER,
     ),
     "/tick": _make_object(
-        ("sent",),
+        ("sent", "early_scans"),
         time=_NUMBER,
         clock_offset=_NUMBER,
         report=_make_message(RobotReport()),
-        scans={
-            "type": "array",
-            "items": _make_message(RingScan(), ring=_INTEGER),
-        },
+        early_scans=_SCANS,
+        scans=_SCANS,
         command=_make_message(SliderCommand()),
         state=_make_object(
             robot_state=_make_enum(RobotState),
