@@ -263,12 +263,28 @@ def change_scenario(scenario: Scenario, text: str, *, source: str) -> Scenario:
     Raises:
         UserError: See `load_scenario`.
     """
-    if text.strip():
-        node = parse_yaml(text, source)
-        check_yaml(node, Scenario, source)
-        scenario = _load(source, node, scenario)
+    scenario = change_settings(scenario, text, source=source)
     scenario.check()
     return scenario
+
+
+def change_settings(settings, text: str, *, source: str, where: str = ""):
+    """Returns settings with some of them changed, not yet checked.
+
+    Args:
+        settings: A dataclass, which stays as it is.
+        text: YAML of what to change; may be empty.
+        source: Where the text is from, for the message.
+        where: Path of keys that leads to the settings, for the message.
+
+    Raises:
+        UserError: Something is unknown, misspelt or of the wrong type.
+    """
+    if not text.strip():
+        return settings
+    node = parse_yaml(text, source)
+    check_yaml(node, type(settings), source, where)
+    return _load(source, node, settings)
 
 
 def dump_scenario(scenario: Scenario) -> dict:
@@ -309,10 +325,10 @@ def _read(filename: pathlib.Path) -> str:
         raise UserError(f"{filename}: is not text in UTF-8") from None
 
 
-def _load(source: str, node: yaml.Node, defaults: Scenario) -> Scenario:
+def _load(source: str, node: yaml.Node, defaults):
     try:
         return yaml_load_typed(
-            schema=Scenario, data=yaml.serialize(node), defaults=defaults
+            schema=type(defaults), data=yaml.serialize(node), defaults=defaults
         )
     except (
         AssertionError,

@@ -37,7 +37,7 @@ from tofssm_drake.hardware.ring_address import (
 from tofssm_drake.hardware.ring_link import RingLink
 from tofssm_drake.hardware.ring_receiver import RingDecoder, RingLinkConfig
 from tofssm_drake.hardware.robot_connection import RtdeStatus
-from tofssm_drake.hardware.rtde_client import RtdeClient, RtdeConfig
+from tofssm_drake.hardware.rtde_client import RtdeClient
 from tofssm_drake.hardware.run_record import RunRecorder
 from tofssm_drake.hardware.slider import SliderConfig
 from tofssm_drake.scripts.hardware_status import HardwareStatus
@@ -79,9 +79,8 @@ def hardware(
             metavar="udp://ADDRESS:PORT|serial:///dev/NAME|virtual",
         ),
     ],
-    robot_port: Annotated[
-        int, typer.Option(help="The robot's RTDE port.")
-    ] = 30004,
+    robot_port: options.RobotPort = 30004,
+    robot_text: options.RobotText = "",
     allow_remote: Annotated[
         bool,
         typer.Option(help="Let --rings listen on every interface (0.0.0.0)."),
@@ -204,10 +203,9 @@ def hardware(
         operator_limit=slider_limit,
     )
     slider.check("slider")
-    robot_config = RtdeConfig(
-        host=robot_host, port=robot_port, write=not dry_run
+    robot_config = options.make_robot_config(
+        robot_host, robot_port, robot_text, write=not dry_run
     )
-    robot_config.check("robot")
     run_options = {
         "virtual_rings": is_virtual,
         "minimum_fraction": minimum_fraction,

@@ -2,12 +2,15 @@
 
 from collections.abc import Iterator
 import contextlib
+import dataclasses as dc
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from tofssm_drake.errors import UserError
+from tofssm_drake.diagrams.scenario import change_settings
+from tofssm_drake.errors import UserError, require
+from tofssm_drake.hardware.rtde_client import RtdeConfig
 
 
 def parse_path(text: str) -> Path:
@@ -44,6 +47,45 @@ HumanMotion = Annotated[
     ),
 ]
 Seed = Annotated[int | None, typer.Option(help="Seed of the sensors' errors.")]
+RobotPort = Annotated[int, typer.Option(help="The robot's RTDE port.")]
+RobotText = Annotated[
+    str,
+    typer.Option(
+        help="Settings of the connection to change, as YAML, e.g. "
+        "'{heartbeat_register: 25}'; see docs/robot_link.md."
+    ),
+]
+
+
+def make_robot_config(
+    host: str, port: int, text: str, *, write: bool
+) -> RtdeConfig:
+    """Returns how to talk to the robot, checked.
+
+    Args:
+        host: --robot-host.
+        port: --robot-port.
+        text: --robot-text.
+        write: Whether to claim slider and heartbeat.
+
+    Raises:
+        UserError: A setting is unknown, out of range or another option's.
+    """
+    settings = change_settings(
+        RtdeConfig(), text, source="--robot-text", where="robot"
+    )
+    for name, option in (
+        ("host", "--robot-host"),
+        ("port", "--robot-port"),
+        ("write", "--dry-run"),
+    ):
+        require(
+            getattr(settings, name) == getattr(RtdeConfig(), name),
+            f"--robot-text: robot.{name}: use {option}",
+        )
+    settings = dc.replace(settings, host=host, port=port, write=write)
+    settings.check("robot")
+    return settings
 
 
 @contextlib.contextmanager

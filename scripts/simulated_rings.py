@@ -20,7 +20,7 @@ from tofssm_drake.hardware.ring_device import (
     UdpSender,
 )
 from tofssm_drake.hardware.ring_fault_injection import parse_ring_fault
-from tofssm_drake.hardware.rtde_client import RtdeClient, RtdeConfig
+from tofssm_drake.hardware.rtde_client import RtdeClient
 from tofssm_drake.messages import RINGS
 import tofssm_drake.scripts.options as options
 from tofssm_drake.scripts.simulate import (
@@ -36,9 +36,8 @@ def simulated_rings(
     robot_host: Annotated[
         str, typer.Option(help="Address of the robot, real or simulated.")
     ] = "127.0.0.1",
-    robot_port: Annotated[
-        int, typer.Option(help="The robot's RTDE port.")
-    ] = 30004,
+    robot_port: options.RobotPort = 30004,
+    robot_text: options.RobotText = "",
     to: Annotated[
         str | None,
         typer.Option(
@@ -104,8 +103,9 @@ def simulated_rings(
         human_motion=human_motion,
         seed=seed,
     )
-    config = RtdeConfig(host=robot_host, port=robot_port, write=False)
-    config.check("robot")
+    config = options.make_robot_config(
+        robot_host, robot_port, robot_text, write=False
+    )
     sender = PtySender() if address is None else UdpSender(address)
     try:
         with catch_stop() as stopped:

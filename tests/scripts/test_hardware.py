@@ -354,6 +354,18 @@ class TestHardware(unittest.TestCase):
                 (("--duration", -1), "virtual", "--duration"),
                 (("--minimum-fraction", 0.5), "virtual", "minimum_fraction"),
                 ((), "udp://0.0.0.0:5005", "--allow-remote"),
+                *(
+                    (("--robot-text", text), "virtual", message)
+                    for text, message in (
+                        ("{lenien: true}", "did you mean 'lenient'?"),
+                        ("{host: there}", "robot.host: use --robot-host"),
+                        ("{write: false}", "robot.write: use --dry-run"),
+                        (
+                            "{products_register: 48}",
+                            "robot.products_register: must be from 0 to 47",
+                        ),
+                    )
+                ),
             ):
                 with self.subTest(message=message):
                     code, out, err = run_hardware(server, *options, rings=rings)
@@ -361,6 +373,19 @@ class TestHardware(unittest.TestCase):
                     self.assertIn(message, err)
                     self.assertEqual(err.count("\n"), 1)
             self.assertEqual(robot.path_time, 0.0)
+
+    def test_settings_of_the_connection(self):
+        path = self.folder / "run.mcap"
+        with serve(make_robot()) as server:
+            code, _, err = run_hardware(
+                server,
+                *("--robot-text", "{heartbeat_register: 31}"),
+                *("--duration", 0.2, "--record", path),
+            )
+        self.assertEqual(code, 0, err)
+        record = path.read_bytes()
+        self.assertIn(b"speed_slider_fraction,input_int_register_31", record)
+        self.assertNotIn(b"input_int_register_24", record)
 
     def test_no_signal_ends_it_before_zero_was_sent(self):
         """One is enough, of any kind; another one comes too late."""

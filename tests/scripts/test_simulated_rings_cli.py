@@ -101,6 +101,10 @@ class TestSimulatedRings(unittest.TestCase):
         (["--pty", "--drift", "nan"], "--drift"),
         (["--pty", "--duration", "-1"], "--duration"),
         (["--pty", "--robot-port", "0"], "robot.port"),
+        (
+            ["--pty", "--robot-text", "{retry: 1}"],
+            "--robot-text:1: robot.retry",
+        ),
         (["--pty", "--sensors-per-ring", "9"], "9 sensors"),
         (["--pty", "--human-motion", "none.bvh"], "none.bvh"),
     ],
