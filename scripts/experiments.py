@@ -304,6 +304,8 @@ def read_motions(folder: Path | None, scenario: Scenario) -> dict[str, bytes]:
     paths = sorted(p for p in folder.iterdir() if p.suffix.lower() == ".bvh")
     require(len(paths) > 0, f"--human-motions: no .bvh files are in {folder}")
     for path in paths:
+        # A pipe would be waited for.
+        require(path.is_file(), f"--human-motions: {path} is no file")
         make_bvh_motion(
             BvhRecording(filename=str(path)), scenario.control_period
         )

@@ -167,6 +167,28 @@ class TestFolder(unittest.TestCase):
                 mut.enter_folder(self.folder, make_plan())
             self.assertIn("is no campaign's plan", str(caught.exception))
 
+    def test_runs_without_their_plan_are_nobodys(self):
+        plan = make_plan()
+        mut.open_folder(self.folder, plan)
+        run = plan.list_runs()[3]
+        mut.store_run(self.folder, run, mut.make_row(run, {"a": 1.0}), {})
+        mut.enter_folder(self.folder, plan)
+        (self.folder / "campaign.json").unlink()
+        with self.assertRaises(UserError) as caught:
+            mut.enter_folder(self.folder, plan)
+        self.assertIn("not their campaign.json", str(caught.exception))
+
+    def test_a_row_of_another_run_is_told(self):
+        plan = make_plan()
+        mut.open_folder(self.folder, plan)
+        one, other = plan.list_runs()[3:5]
+        mut.store_run(self.folder, one, mut.make_row(other, {"a": 1.0}), {})
+        with self.assertRaises(UserError) as caught:
+            mut.read_rows(self.folder, plan)
+        self.assertRegex(
+            str(caught.exception), r"is of another run \(run, .*\)"
+        )
+
     def test_rows_come_back_as_they_were(self):
         plan = make_plan()
         mut.open_folder(self.folder, plan)

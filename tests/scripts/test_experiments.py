@@ -406,6 +406,13 @@ class TestBadInput:
         assert "broken.bvh" in capfd.readouterr().err
         assert not (tmp_path / "out").exists()
 
+    def test_a_pipe_is_no_recording(self, tmp_path, capfd):
+        """It would be waited for."""
+        os.mkfifo(tmp_path / "pipe.bvh")
+        code = main.run(["experiments", "--human-motions", str(tmp_path)])
+        assert code == 2
+        assert "pipe.bvh is no file" in capfd.readouterr().err
+
     @pytest.mark.parametrize(
         ("arguments", "message"),
         [

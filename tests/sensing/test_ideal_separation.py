@@ -104,6 +104,15 @@ def test_inside_the_person_and_on_the_bone():
     assert dut.k_o[0] == pytest.approx(2.0)
 
 
+@pytest.mark.parametrize("wrong", [np.nan, np.inf])
+def test_what_is_nowhere_is_faulted(wrong):
+    """A link or a part of the person without a place is no clear view."""
+    for p, end in (((0, wrong, 0), (1, 0, 0)), ((0, 0, 0), (1, wrong, 0))):
+        dut = calc(p=p, ends=[[(1, 0, 0), end]], radii=[0.1])
+        assert dut.health[0] == RingHealth.FAULTED
+        assert dut.count[0].tolist() == [0, 0, 0, 1]
+
+
 def test_saturates():
     ends = [[[1, 0, 0], [1, 0, 0]]]
     fast = calc(

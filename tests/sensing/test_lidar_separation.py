@@ -108,6 +108,8 @@ class TestRays:
         ranges[5] = np.nan
         ranges[6:100] = 2.0
         ranges[[200, 201, 202, 203]] = [3.0, 0.0, np.nan, -np.inf]
+        # Less than nothing, beside something very near.
+        background[210], ranges[210] = 0.03, -0.01
         reading = mut.classify_rays(
             ranges=ranges, background=background, margin=0.05
         )
@@ -118,6 +120,7 @@ class TestRays:
         assert reading[200:205].tolist() == [
             *(VALID, VALID, FAULTED, FAULTED, CLEAR)
         ]
+        assert reading[210] == FAULTED
 
     def test_table_is_not_a_person(self):
         background = NOTHING.copy()

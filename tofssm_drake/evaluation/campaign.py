@@ -453,6 +453,11 @@ def enter_folder(folder: Path, plan: Plan) -> None:
     check_folder(folder, plan)
     path = Path(folder) / _PLAN_FILE
     if not path.exists():
+        require(
+            not any(Path(folder).glob("runs/*/row.parquet")),
+            f"--out: {folder} holds runs, but not their {_PLAN_FILE}: nobody "
+            "knows of which campaign they are; give another folder",
+        )
         return
     try:
         old = json.loads(path.read_text("utf-8"))
@@ -518,7 +523,11 @@ def store_run(
 
 
 def read_rows(folder: Path, plan: Plan) -> dict[str, dict]:
-    """Returns the rows of the finished runs by the runs' keys."""
+    """Returns the rows of the finished runs by the runs' keys.
+
+    Raises:
+        UserError: A row can not be read, or is another run's.
+    """
     rows = {}
     for run in plan.list_runs():
         path = get_run_folder(folder, run) / "row.parquet"
@@ -531,6 +540,17 @@ def read_rows(folder: Path, plan: Plan) -> dict[str, dict]:
                     f"{path}: can not be read ({reason}); remove it to have "
                     "the run repeated"
                 ) from None
+            wrong = [
+                name
+                for name, value in make_row(run, {}).items()
+                # What is not a number is not equal to itself.
+                if rows[run.key].get(name) != value and value == value
+            ]
+            require(
+                not wrong,
+                f"{path}: is of another run ({', '.join(wrong)}); remove it "
+                "to have the run repeated",
+            )
     return rows
 
 

@@ -39,7 +39,9 @@ from tofssm_drake.sensing.vl53l1x import check_range
 # As compile-time constants for the kernel.
 _CLEAR = int(Reading.CLEAR)
 _VALID = int(Reading.VALID)
+_FAULTED = int(Reading.FAULTED)
 _HEALTHY = int(RingHealth.HEALTHY)
+_RING_FAULTED = int(RingHealth.FAULTED)
 
 # A sample that is due at this very tick is due, whatever the rounding.
 _SLACK = 1e-9
@@ -121,6 +123,7 @@ def _calc_links(
     m = p_WL.shape[0]
     direction = reals[K_O + 1 :].reshape(m, 3)
     count = whole[HEALTH + 1 :].reshape(m, 4)
+    is_person_known = np.isfinite(ends).all()
     for i in range(m):
         distance, n, v = find_nearest_on_person(
             p_WL[i], ends, velocities, radii
@@ -146,9 +149,13 @@ def _calc_links(
         reals[K_O, i] = saturate(k_l + v_h, k_max)
         direction[i] = n
         whole[SENSOR, i] = 0 if is_seen else -1
-        whole[HEALTH, i] = _HEALTHY
         count[i] = 0
-        count[i, _VALID if is_seen else _CLEAR] = 1
+        if is_person_known and np.isfinite(p_WL[i]).all():
+            whole[HEALTH, i] = _HEALTHY
+            count[i, _VALID if is_seen else _CLEAR] = 1
+        else:
+            whole[HEALTH, i] = _RING_FAULTED
+            count[i, _FAULTED] = 1
 
 
 def calc_ideal_separation(

@@ -145,14 +145,14 @@ def classify_rays(
 def _write_readings(ranges, background, margin, reading):
     for i in range(len(ranges)):
         d = ranges[i]
+        if not d >= 0.0:
+            continue
         is_taught = np.isfinite(background[i])
         if is_taught and abs(d - background[i]) <= margin:
             reading[i] = _MASKED
         elif not is_taught and d == np.inf:
             reading[i] = _CLEAR
-        elif 0.0 <= d < np.inf and not (
-            is_taught and d - background[i] >= -margin
-        ):
+        elif d < np.inf and not (is_taught and d - background[i] >= -margin):
             reading[i] = _VALID
 
 
