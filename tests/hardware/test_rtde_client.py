@@ -611,69 +611,6 @@ class TestWithSimulatedRobot(unittest.TestCase):
                     )
                     self.assertEqual(threading.active_count(), threads)
 
-    def test_who_waits_again_and_again_reads(self):
-        readers = []
-
-        def tap(arrival, was_sent, data):
-            if not was_sent:
-                readers.append(threading.current_thread())
-
-        with (
-            serve() as server,
-            RtdeClient(RtdeConfig(port=server.address[1]), tap=tap) as dut,
-        ):
-
-            def wait(until):
-                sequence = dut.get_report().sequence
-                while not until():
-                    report = dut.wait_for_report(after=sequence, timeout=5)
-                    self.assertGreater(report.sequence, sequence)
-                    sequence = report.sequence
-
-            me = threading.current_thread()
-            wait(lambda: readers[-10:] == [me] * 10)
-            # The thread reads for who does not wait.
-            self.assertTrue(wait_until(lambda: me not in readers[-10:]))
-            # It connects anew for who does.
-            wait(lambda: readers[-10:] == [me] * 10)
-            for fault in ("simulate drop", "simulate stall 0.3"):
-                session = dut.get_report().session
-                server.do(fault)
-                wait(lambda b=session: dut.get_report().session > b)
-                wait(lambda: readers[-10:] == [me] * 10)
-            self.assertEqual(dut.get_status().connections, 3)
-
-    def test_two_may_wait(self):
-        with serve() as server, connect(server) as dut:
-            seen = [[], []]
-
-            def watch(reports):
-                while len(reports) < 40:
-                    after = reports[-1] if reports else -1
-                    report = dut.wait_for_report(after=after, timeout=5)
-                    reports.append(report.sequence)
-
-            threads = [threading.Thread(target=watch, args=(r,)) for r in seen]
-            for thread in threads:
-                thread.start()
-            for thread in threads:
-                thread.join()
-            for reports in seen:
-                self.assertEqual(reports, sorted(set(reports)))
-
-    def test_closing_ends_a_wait(self):
-        with OddServer() as server:
-            dut = connect(server, stream_timeout=5)
-            sequence = dut.wait_for_report(after=-1, timeout=5).sequence
-            waiter = threading.Thread(
-                target=dut.wait_for_report,
-                kwargs={"after": sequence + 100, "timeout": 60},
-            )
-            waiter.start()
-            dut.close()
-            waiter.join(5)
-            self.assertFalse(waiter.is_alive())
-
     def test_closing_leaves_the_robot_stopped(self):
         robot = make_robot()
         with serve(robot) as server:

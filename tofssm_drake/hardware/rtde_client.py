@@ -1,12 +1,11 @@
 """RTDE client: a thread that reads whole packages and keeps the newest.
 
-Reading never waits for anyone: the thread makes one frozen `RobotReport` per
-package, with the time at which it was read, and replaces the one before. Who
-waits for reports again and again reads them himself, since a thread that has
-to wake another one costs time. The thread then only watches, and reads again
-when nobody has waited for a while. When the robot falls silent or hangs up,
-the thread connects anew with the full handshake, more and more slowly, until
-it is closed. Nothing that goes wrong is raised: it is told by `get_status`.
+Reading never waits for anyone and nobody waits for reading: the thread makes
+one frozen `RobotReport` per package, with the time at which it arrived, and
+replaces the one before. When the robot falls silent or hangs up, the thread
+connects anew with the full handshake, more and more slowly, until it is
+closed. Nothing that goes wrong is raised from the thread: it is told by
+`get_status`.
 """
 
 from collections.abc import Callable
@@ -36,12 +35,6 @@ from tofssm_drake.messages import RobotReport, SliderCommand
 
 # Bytes that may wait for the robot to read them.
 _SEND_BUFFER = 4096
-# Who has waited for a report so lately will do so again, s; and between two
-# looks of the thread whether he does.
-_LATELY = 0.05
-_WATCH_PERIOD = 0.02
-# One wait for bytes, s: short enough to notice that the client was closed.
-_LONGEST_WAIT = 0.25
 # How long closing may take in all of its parts, s.
 _FAREWELL = 0.2
 
@@ -160,9 +153,6 @@ class RtdeClient:
         self._packages = 0
         self._closed = threading.Event()
         self._send_lock = threading.Lock()
-        # What streams, for who waits; and when somebody last did, s.
-        self._link: _Link | None = None
-        self._waited = -math.inf
         # Socket and input recipe, while writing is possible.
         self._writer: tuple[socket.socket, rtde.Recipe] | None = None
         self._heartbeat = 0
@@ -192,20 +182,12 @@ class RtdeClient:
         Returns:
             The newest report, which is not newer if the time is over.
         """
-        deadline = time.monotonic() + timeout
-        while self._report.sequence <= after and not self._closed.is_set():
-            self._waited = time.monotonic()
-            remaining = deadline - self._waited
-            if remaining <= 0.0:
-                break
-            link = self._link
-            if link is None or not link.read(min(remaining, _LONGEST_WAIT)):
-                # Somebody else reads.
-                with self._condition:
-                    if self._report.sequence <= after:
-                        self._condition.wait(min(remaining, _WATCH_PERIOD))
-        self._waited = time.monotonic()
-        return self._report
+        with self._condition:
+            self._condition.wait_for(
+                lambda: self._report.sequence > after or self._closed.is_set(),
+                timeout,
+            )
+            return self._report
 
     def send(self, command: SliderCommand) -> bool:
         """Sends slider and heartbeat in one package.
@@ -348,13 +330,6 @@ class _Link:
         self._version = 1
         # Of the newest package, if it was no good.
         self._rejection = ""
-        # Held by who reads; and what ended the stream.
-        self._turn = threading.Lock()
-        self._failure: Exception | None = None
-        self._session = -1
-        # Timestamp of the newest package; NaN: there is none.
-        self._last = math.nan
-        self._deadline = math.inf
         self._outputs: rtde.Recipe | None = None
         self._inputs: rtde.Recipe | None = None
 
@@ -511,7 +486,7 @@ class _Link:
         self._connection.sendall(package)
         self._client._record_sent(package)
 
-    def _receive(self, deadline, otherwise, longest=_LONGEST_WAIT):
+    def _receive(self, deadline, otherwise):
         """Adds the next packages to those that wait."""
         remaining = deadline - time.monotonic()
         if self._client._closed.is_set():
@@ -522,7 +497,8 @@ class _Link:
             self._reader.check()
         except RtdeError as error:
             raise _LostError(f"{self._client._where}: {error}") from None
-        self._connection.settimeout(min(remaining, longest))
+        # Short enough to notice that the client was closed.
+        self._connection.settimeout(min(remaining, 0.25))
         try:
             data = self._connection.recv(1 << 16)
         except TimeoutError:
@@ -550,72 +526,35 @@ class _Link:
             client._update(texts=client._status.texts + 1, last_text=text)
 
     def read_stream(self):
-        """Has reports made until the stream ends or is silent for too long."""
-        client = self._client
-        self._session = client._report.session + 1
-        self._last = math.nan
+        """Makes reports until the stream ends or is silent for too long."""
+        client, config = self._client, self._config
+        session = client._report.session + 1
+        last = math.nan
+        started = False
         # The first package may take as long as any answer.
-        self._deadline = time.monotonic() + self._config.reply_timeout
-        self._make_reports()
-        client._link = self
-        try:
-            while self._failure is None:
-                was_lately = time.monotonic() - client._waited < _LATELY
-                if was_lately or not self.read(_LONGEST_WAIT):
-                    # Somebody else reads.
-                    client._closed.wait(_WATCH_PERIOD)
-                if client._closed.is_set():
-                    raise _LostError("closed")
-        finally:
-            client._link = None
-            # Nobody reads any more from now on.
-            self._turn.acquire()
-        raise self._failure
-
-    def read(self, timeout: float) -> bool:
-        """Makes reports of what comes next; raises nothing.
-
-        Args:
-            timeout: Longest wait for it, s.
-
-        Returns:
-            False: the stream has ended, or somebody else reads.
-        """
-        if self._failure is not None or not self._turn.acquire(blocking=False):
-            return False
-        try:
+        deadline = time.monotonic() + config.reply_timeout
+        while True:
+            while self._waiting:
+                kind, payload = self._waiting.pop(0)
+                if kind != PackageType.DATA_PACKAGE:
+                    self._take_note(kind, payload)
+                    continue
+                arrived = self._arrival
+                report = self._decode(payload, arrived, last, session)
+                if report is None:
+                    continue
+                session, last = report.session, report.timestamp
+                deadline = arrived + config.stream_timeout
+                if not started:
+                    started = True
+                    self._begin()
+                with client._condition:
+                    client._report = report
+                    client._condition.notify_all()
             self._receive(
-                self._deadline,
-                f"no package for {self._config.stream_timeout:g} s"
-                f"{self._rejection}",
-                timeout,
+                deadline,
+                f"no package for {config.stream_timeout:g} s{self._rejection}",
             )
-            self._make_reports()
-        except Exception as error:
-            # For the thread, which connects anew.
-            self._failure = error
-        finally:
-            self._turn.release()
-        return True
-
-    def _make_reports(self):
-        """Makes reports of the packages that wait."""
-        client = self._client
-        while self._waiting:
-            kind, payload = self._waiting.pop(0)
-            if kind != PackageType.DATA_PACKAGE:
-                self._take_note(kind, payload)
-                continue
-            report = self._decode(payload)
-            if report is None:
-                continue
-            if math.isnan(self._last):
-                self._begin()
-            self._session, self._last = report.session, report.timestamp
-            self._deadline = self._arrival + self._config.stream_timeout
-            with client._condition:
-                client._report = report
-                client._condition.notify_all()
 
     def _begin(self):
         client = self._client
@@ -629,7 +568,7 @@ class _Link:
             connections=client._status.connections + 1,
         )
 
-    def _decode(self, payload):
+    def _decode(self, payload, arrived, last, session):
         """Returns the report of a data package, None if it is no good."""
         client = self._client
         status = client._status
@@ -640,9 +579,9 @@ class _Link:
             report = self._make_report(
                 flat,
                 before=client._report,
-                time=self._arrival,
-                last=self._last,
-                session=self._session,
+                time=arrived,
+                last=last,
+                session=session,
             )
         except RtdeError as error:
             client._update(rejected=status.rejected + 1)
@@ -652,7 +591,7 @@ class _Link:
                 client._update(problem=f"{client._where}{self._rejection}")
             return None
         self._rejection = ""
-        if report.timestamp == self._last:
+        if report.timestamp == last:
             client._update(repeated=status.repeated + 1)
             return None
         client._packages += 1
