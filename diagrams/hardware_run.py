@@ -121,9 +121,10 @@ def keep_interpreter_quiet() -> Iterator[None]:
 def run_in_real_time() -> Iterator[bool]:
     """Puts the program's threads before all other programs, where it may.
 
-    All of Python's: one that another program has interrupted would hold up
-    those that wait for the interpreter. A program that was started with a
-    real-time priority keeps it.
+    All of Python's that there are: one that another program has interrupted
+    would hold up those that wait for the interpreter. A program that was
+    started with a real-time priority keeps it. Threads and programs that are
+    started within have none.
 
     Yields:
         Whether they have a real-time priority.
@@ -135,15 +136,16 @@ def run_in_real_time() -> Iterator[bool]:
             if os.sched_getscheduler(thread.native_id) == usual:
                 os.sched_setscheduler(
                     thread.native_id,
-                    os.SCHED_FIFO,
+                    os.SCHED_FIFO | os.SCHED_RESET_ON_FORK,
                     os.sched_param(_PRIORITY),
                 )
                 changed.append(thread.native_id)
     except OSError:
         # It may not, or a thread has just ended.
         pass
+    policy = os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK
     try:
-        yield os.sched_getscheduler(0) != usual
+        yield policy in (os.SCHED_FIFO, os.SCHED_RR)
     finally:
         for number in changed:
             with contextlib.suppress(OSError):

@@ -64,6 +64,15 @@ _NO_PRIORITY = (
     "docs/hardware.md)"
 )
 
+# What a summary tells only where it is known where people truly were.
+_OF_A_PERSON = (
+    "contact_while_moving_events",
+    "contact_while_moving_max_mps",
+    "contacts",
+    "late_stops",
+    "stop_due_s",
+)
+
 _console = Console(stderr=True, highlight=False)
 
 
@@ -348,12 +357,15 @@ def _run(run, robot, link, stopped, duration, dry_run):
                 if duration and elapsed >= duration:
                     end = _End(f"ran for {duration:g} s", 0)
                     break
-    except UserError as error:
-        end = _End(f"stopped: {error}", 1)
     except Exception as error:
         # Whatever it is: the robot must not go on.
-        text = " ".join(str(error).split())
-        end = _End(f"stopped: {type(error).__name__}: {text}", 1)
+        text = str(error)
+        if not isinstance(error, UserError):
+            text = f"{type(error).__name__}: {' '.join(text.split())}"
+        end = _End(f"stopped: {text}", 1)
+        if stopped:
+            # It was told to stop, and something went wrong just then.
+            end = _End("interrupted", 130)
     end.result = result
     end.wall_time = time.monotonic() - begin
     return end
@@ -422,7 +434,11 @@ def _write_report(loop, scenario, end, out, name, command, is_real):
     if is_real:
         # Nothing that is compared with a person's truth means anything.
         samples.metadata["human"] = "not known: real rings"
-        summary |= {"person_is_known": False, "ghost_s_by_ring": {}}
+        summary |= {
+            "person_is_known": False,
+            "ghost_s_by_ring": {},
+            **dict.fromkeys(_OF_A_PERSON),
+        }
     write_results(samples, summary, out)
     print(
         f"{count_of(end.result.products_placed, 'product')} placed in "

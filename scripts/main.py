@@ -112,7 +112,11 @@ def main() -> None:
     """Entry point of the `tofssm` command."""
     with leave_at_once():
         make_app()
-    sys.exit(run())
+    code = run()
+    # All is done: a signal now must not change how it ended.
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, signal.SIG_IGN)
+    sys.exit(code)
 
 
 if __name__ == "__main__":

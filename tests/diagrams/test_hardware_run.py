@@ -46,12 +46,18 @@ class TestRealTime(unittest.TestCase):
 
     def test_all_threads_and_back(self):
         scheduler = Scheduler()
-        self.assertEqual(scheduler.run(), (True, {os.SCHED_FIFO}))
+        # What is started within has no such priority.
+        policy = os.SCHED_FIFO | os.SCHED_RESET_ON_FORK
+        self.assertEqual(scheduler.run(), (True, {policy}))
         self.assertEqual(set(scheduler.policies.values()), {os.SCHED_OTHER})
 
     def test_refused(self):
         scheduler = Scheduler(refuses=True)
         self.assertEqual(scheduler.run(), (False, {os.SCHED_OTHER}))
+
+    def test_idle_is_no_priority(self):
+        scheduler = Scheduler(policy=os.SCHED_IDLE)
+        self.assertEqual(scheduler.run(), (False, {os.SCHED_IDLE}))
 
     def test_what_it_was_started_with_stays(self):
         scheduler = Scheduler(policy=os.SCHED_RR)

@@ -576,6 +576,31 @@ class TestWithSimulatedRobot(unittest.TestCase):
             self.assertEqual(status.rejected, 0)
             self.assertEqual(status.connections, 1)
 
+    def test_a_pause_of_the_reader_is_no_silence(self):
+        """What came meanwhile is read before the robot counts as gone."""
+        pauses = iter([0.3])
+        was_paused = threading.Event()
+
+        def pause_once(arrival, was_sent, package):
+            if package[2] == PackageType.DATA_PACKAGE:
+                for duration in pauses:
+                    time.sleep(duration)
+                    was_paused.set()
+
+        with (
+            serve() as server,
+            RtdeClient(
+                RtdeConfig(port=server.address[1]), tap=pause_once
+            ) as dut,
+        ):
+            self.assertTrue(was_paused.wait(5.0))
+            before = dut.get_report().sequence
+            self.assertTrue(
+                wait_until(lambda: dut.get_report().sequence > before + 5)
+            )
+            self.assertEqual(dut.get_report().session, 0)
+            self.assertEqual(dut.get_status().connections, 1)
+
     def test_drop_restart_and_stall(self):
         with serve() as server, connect(server) as dut:
             for fault in (

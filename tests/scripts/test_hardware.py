@@ -374,6 +374,17 @@ class TestHardware(unittest.TestCase):
                     self.assertEqual(err.count("\n"), 1)
             self.assertEqual(robot.path_time, 0.0)
 
+    def test_an_error_while_it_is_told_to_stop(self):
+        def fail():
+            os.kill(os.getpid(), signal.SIGTERM)
+            raise RuntimeError("just then")
+
+        robot = make_robot()
+        with serve(robot) as server, at_ticks({60: fail}):
+            code, out, err = run_hardware(server)
+        self.assertEqual((code, robot.slider), (130, 0.0), err)
+        self.assertEqual(out, "interrupted; slider set to 0\n")
+
     def test_settings_of_the_connection(self):
         path = self.folder / "run.mcap"
         with serve(make_robot()) as server:

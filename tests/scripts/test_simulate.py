@@ -517,6 +517,22 @@ class TestBadInput:
 
 
 class TestInterruption:
+    def test_no_signal_changes_how_it_ended(self, monkeypatch):
+        """One that comes while the interpreter closes."""
+        numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+        handlers = [signal.getsignal(number) for number in numbers]
+        monkeypatch.setattr(main, "make_app", lambda: None)
+        monkeypatch.setattr(main, "run", lambda: 7)
+        try:
+            with pytest.raises(SystemExit) as caught:
+                main.main()
+            for number in numbers:
+                os.kill(os.getpid(), number)
+        finally:
+            for number, handler in zip(numbers, handlers, strict=True):
+                signal.signal(number, handler)
+        assert caught.value.code == 7
+
     @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
     def test_from_inside(self, number, tmp_path, monkeypatch, capfd):
         advance = simulation.Run.advance

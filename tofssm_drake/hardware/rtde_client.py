@@ -327,6 +327,8 @@ class _Link:
         self._waiting: list[tuple[int, bytes]] = []
         # When the last bytes came, s.
         self._arrival = -math.inf
+        # The deadline that was over at the last look; NaN: it was not.
+        self._overdue = math.nan
         self._version = 1
         # Of the newest package, if it was no good.
         self._rejection = ""
@@ -491,17 +493,20 @@ class _Link:
         remaining = deadline - time.monotonic()
         if self._client._closed.is_set():
             raise _LostError("closed")
-        if remaining <= 0:
+        is_over = remaining <= 0
+        # This process may have stood still: what has come meanwhile counts.
+        if is_over and self._overdue == deadline:
             raise _LostError(f"{self._client._where}: {otherwise}")
+        self._overdue = deadline if is_over else math.nan
         try:
             self._reader.check()
         except RtdeError as error:
             raise _LostError(f"{self._client._where}: {error}") from None
         # Short enough to notice that the client was closed.
-        self._connection.settimeout(min(remaining, 0.25))
+        self._connection.settimeout(min(max(remaining, 0.0), 0.25))
         try:
             data = self._connection.recv(1 << 16)
-        except TimeoutError:
+        except (TimeoutError, BlockingIOError):
             return
         self._arrival = time.monotonic()
         if not data:
