@@ -521,11 +521,11 @@ class TestInterruption:
         """One that comes while the interpreter closes."""
         numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
         handlers = [signal.getsignal(number) for number in numbers]
-        monkeypatch.setattr(main, "make_app", lambda: None)
-        monkeypatch.setattr(main, "run", lambda: 7)
+        monkeypatch.setattr(mut, "make_app", lambda: None)
+        monkeypatch.setattr(mut, "run", lambda: 7)
         try:
             with pytest.raises(SystemExit) as caught:
-                main.main()
+                mut.main()
             for number in numbers:
                 os.kill(os.getpid(), number)
         finally:
