@@ -476,15 +476,20 @@ class TestTables(unittest.TestCase):
     def test_only_vo_monitors_the_person(self):
         campaign = _Campaign()
         for row in campaign.rows.values():
-            row["shortfall_as_measured_p50_m"] = 0.1
+            row["shortfall_as_reckoned_p50_m"] = 0.1
+            row["shortfall_as_reckoned_clear_share"] = 0.84
         cells = [
             Cell(sensing="tof", configuration=c) for c in ("vo", "vr", "sm")
         ]
         table = mut.make_cell_table(campaign.results, cells, mut.AUDIT_METRICS)
         labels = [label for label, _ in table["head"]]
-        column = labels.index("as measured: median")
-        texts = [texts[column] for _, texts in table["rows"]]
-        self.assertEqual(texts, ["0.10", "\u2013", "\u2013"])
+        for label, expected in (
+            ("as reckoned: median", "0.10"),
+            ("of that with nothing measured", "84"),
+        ):
+            column = labels.index(label)
+            texts = [texts[column] for _, texts in table["rows"]]
+            self.assertEqual(texts, [expected, "\u2013", "\u2013"])
         walking_in = [texts[0] for _, texts in table["rows"]]
         self.assertEqual(set(walking_in), {"0.20"})
 

@@ -195,7 +195,20 @@ AUDIT_METRICS = (
     *_make_shortfall_metrics("walking_in", "shortfall, walking in: median"),
     # Who does not monitor the person's speed may not count on it.
     *_make_shortfall_metrics(
-        "as_measured", "as measured: median", configurations=("vo",)
+        "as_reckoned", "as reckoned: median", configurations=("vo",)
+    ),
+    Metric(
+        name="shortfall_as_reckoned_clear_share",
+        label="of that with nothing measured",
+        unit="%",
+        digits=0,
+        scale=100.0,
+        configurations=("vo",),
+    ),
+    *_make_shortfall_metrics(
+        "measuring",
+        "as measured, links that measure: median",
+        configurations=("vo",),
     ),
     Metric(
         name="inside_protective_s",
