@@ -25,7 +25,9 @@ from tofssm_drake.evaluation.campaign import (
 )
 import tofssm_drake.evaluation.campaign_report as mut
 from tofssm_drake.evaluation.claims import (
+    NO_VALUE,
     NOT_REPRODUCED,
+    NOT_RUN,
     REPRODUCED,
     UNDECIDED,
     Claim,
@@ -492,6 +494,55 @@ class TestTables(unittest.TestCase):
             self.assertEqual(texts, [expected, "\u2013", "\u2013"])
         walking_in = [texts[0] for _, texts in table["rows"]]
         self.assertEqual(set(walking_in), {"0.20"})
+
+    def test_counts_have_no_interval_below_zero(self):
+        campaign = _Campaign()
+        cell = Cell(sensing="tof", configuration="vr")
+        for trial, contacts in ((1, 5.0), (2, 0.0)):
+            campaign.rows[f"tof-vr-{trial}"]["contacts_while_moving"] = contacts
+            campaign.rows[f"tof-vo-{trial}"]["contacts_while_moving"] = 0.0
+        metrics = [
+            m for m in mut.METRICS["Safety"] if m.name.startswith("contacts")
+        ]
+        table = mut.make_cell_table(
+            campaign.results,
+            [cell, Cell(sensing="tof", configuration="vo")],
+            metrics,
+        )
+        texts = [text for _, (text,) in table["rows"]]
+        self.assertEqual(texts, ["5 in 1 of 2 runs", "0 in 2 runs"])
+        self.assertEqual(table["head"][0][1], "in all runs")
+        pair = [(cell, Cell(sensing="tof", configuration="vo"))]
+        table = mut.make_difference_table(campaign.results, pair, metrics)
+        self.assertEqual(table["head"][0][1], "per run")
+
+    def test_how_many_stops_are_timed(self):
+        campaign = _Campaign()
+        cell = Cell(sensing="tof", configuration="vo")
+        for trial, timed in ((1, 50.0), (2, 60.0)):
+            campaign.rows[f"tof-vo-{trial}"] |= {
+                "time_to_stop_events": timed,
+                "stop_events": 291.0,
+                "state_changes_per_min": 454.0,
+            }
+        table = mut.make_cell_table(
+            campaign.results, [cell], mut.METRICS["Performance"]
+        )
+        ((_, texts),) = table["rows"]
+        texts = dict(zip(table["head"], texts, strict=True))
+        self.assertEqual(texts["stops timed", "of all, per run"], "55 of 291")
+        self.assertEqual(texts["state changes", "per minute"], "454")
+
+    def test_no_value_is_not_called_not_run(self):
+        claims = [
+            Claim(key="a", text="a", verdict=verdict, unit="s")
+            for verdict in (NO_VALUE, NOT_RUN, REPRODUCED)
+        ]
+        rows = [mut.make_claim_row(claim) for claim in claims]
+        self.assertEqual([r["is_run"] for r in rows], [True, False, True])
+        self.assertEqual(rows[0]["verdict"], "no value")
+        sentences = mut.make_verdict(_Campaign().results, claims, {})
+        self.assertIn("Of 1 claim of", sentences[0][1])
 
     def test_the_worst_of_all_runs(self):
         """Not the mean of the runs' worst, which is a column of its own."""
