@@ -309,6 +309,16 @@ class TestReport(unittest.TestCase):
         self.assertIn("drake 1.51.1", text)
         self.assertIn("What do the corrections of the printed law", text)
 
+    def test_only_vo_stands_under_the_monitored_speed(self):
+        for row in self.campaign.rows.values():
+            row["shortfall_as_reckoned_p50_m"] = 0.1
+        _, _, text = self.make(results=self.campaign.results)
+        _, _, after = text.partition("speed as it was monitored")
+        table, _, _ = after.partition("Only Vo monitors")
+        self.assertIn("Real Vo 0.10", table)
+        self.assertNotIn("Real Vr", table)
+        self.assertNotIn("speed that Vo measured", text)
+
     def test_failures_are_told(self):
         label = PlannedRun(
             cell=self.campaign.plan.cells[0],
@@ -480,10 +490,10 @@ class TestTables(unittest.TestCase):
         for row in campaign.rows.values():
             row["shortfall_as_reckoned_p50_m"] = 0.1
             row["shortfall_as_reckoned_clear_share"] = 0.84
-        cells = [
-            Cell(sensing="tof", configuration=c) for c in ("vo", "vr", "sm")
-        ]
-        table = mut.make_cell_table(campaign.results, cells, mut.AUDIT_METRICS)
+        cell = Cell(sensing="tof", configuration="vo")
+        table = mut.make_cell_table(
+            campaign.results, [cell], mut.MONITORED_METRICS
+        )
         labels = [label for label, _ in table["head"]]
         for label, expected in (
             ("as reckoned: median", "0.10"),
@@ -491,9 +501,9 @@ class TestTables(unittest.TestCase):
         ):
             column = labels.index(label)
             texts = [texts[column] for _, texts in table["rows"]]
-            self.assertEqual(texts, [expected, "\u2013", "\u2013"])
-        walking_in = [texts[0] for _, texts in table["rows"]]
-        self.assertEqual(set(walking_in), {"0.20"})
+            self.assertEqual(texts, [expected])
+        labels = {metric.label for metric in mut.AUDIT_METRICS}
+        self.assertNotIn("as reckoned: median", labels)
 
     def test_counts_have_no_interval_below_zero(self):
         campaign = _Campaign()
@@ -526,7 +536,9 @@ class TestTables(unittest.TestCase):
                 "state_changes_per_min": 454.0,
             }
         table = mut.make_cell_table(
-            campaign.results, [cell], mut.METRICS["Performance"]
+            campaign.results,
+            [cell],
+            [m for group in mut.METRICS.values() for m in group],
         )
         ((_, texts),) = table["rows"]
         texts = dict(zip(table["head"], texts, strict=True))

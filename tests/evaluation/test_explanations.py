@@ -322,15 +322,13 @@ class TestEveryExplanation(unittest.TestCase):
             (
                 {("tof", "vo"): 2.0, ("tof", "vr"): 8.0},
                 "So the configuration that has the largest velocity change "
-                "with its sensing is in the normal state for longest per stop, "
-                "so it is more often at full speed when it has to stop: "
-                "Real Vr.",
+                "with its sensing is also in the normal state for longest per "
+                "stop: Real Vr.",
             ),
             (
                 {("tof", "vo"): 8.0, ("tof", "vr"): 2.0},
                 "So there is one that has the largest velocity change though "
-                "it is not in the normal state for longest per stop, so "
-                "something else makes the change largest: Real Vr.",
+                "it is not in the normal state for longest per stop: Real Vr.",
             ),
         ):
             results = make_results_of(

@@ -58,8 +58,6 @@ class Metric:
     unit: str
     digits: int = 2
     scale: float = 1.0
-    configurations: tuple[str, ...] = tuple(CONFIGURATION_NAME)
-    """Those for which it means something; the others have a dash."""
     is_worst: bool = False
     """Whether the greatest value of all runs is told instead of the mean."""
     is_count: bool = False
@@ -142,6 +140,8 @@ METRICS = {
         Metric(
             name="false_events", label="false stops", unit="per run", digits=1
         ),
+    ),
+    "Performance: changes of state, and what is measured": (
         Metric(
             name="state_changes_per_episode",
             label="state changes",
@@ -230,23 +230,6 @@ def _make_shortfall_metrics(name, label, **options):
 
 AUDIT_METRICS = (
     *_make_shortfall_metrics("walking_in", "shortfall, walking in: median"),
-    # Who does not monitor the person's speed may not count on it.
-    *_make_shortfall_metrics(
-        "as_reckoned", "as reckoned: median", configurations=("vo",)
-    ),
-    Metric(
-        name="shortfall_as_reckoned_clear_share",
-        label="of that with nothing measured",
-        unit="%",
-        digits=0,
-        scale=100.0,
-        configurations=("vo",),
-    ),
-    *_make_shortfall_metrics(
-        "measuring",
-        "as measured, links that measure: median",
-        configurations=("vo",),
-    ),
     Metric(
         name="inside_protective_s",
         label="not told to stop inside S_p",
@@ -271,6 +254,20 @@ AUDIT_METRICS = (
     ),
 )
 """Columns of the audit's table."""
+MONITORED_METRICS = (
+    *_make_shortfall_metrics("as_reckoned", "as reckoned: median"),
+    Metric(
+        name="shortfall_as_reckoned_clear_share",
+        label="of that with nothing measured",
+        unit="%",
+        digits=0,
+        scale=100.0,
+    ),
+    *_make_shortfall_metrics(
+        "measuring", "as measured, links that measure: median"
+    ),
+)
+"""Columns of the table of those that monitor the person's speed."""
 
 _COMPARED = (
     "productivity",
@@ -305,8 +302,6 @@ def make_cell_table(results: Results, cells, metrics) -> dict:
     """
 
     def tell(cell, metric):
-        if cell.configuration not in metric.configurations:
-            return _NONE
         value = results.estimate(cell, metric.name)
         if metric.is_count and value.count:
             return _count_in_runs(results, cell, metric)
@@ -798,6 +793,12 @@ def make_campaign_report(
             ],
         ),
         audit=make_cell_table(results, plain, AUDIT_METRICS),
+        # Who does not monitor the person's speed may not count on it.
+        monitored=make_cell_table(
+            results,
+            [cell for cell in plain if cell.configuration == "vo"],
+            MONITORED_METRICS,
+        ),
         has_audit=any(
             results.estimate(cell, AUDIT_METRICS[0].name).count
             for cell in plain

@@ -483,10 +483,8 @@ def explain_speeds(results: Results) -> str:
             _get_means(results, "velocity_change_at_stop_mps", cells),
             stretch,
             "has the largest velocity change",
-            "is in the normal state for longest per stop, so it is more often "
-            "at full speed when it has to stop",
-            "it is not in the normal state for longest per stop, so something "
-            "else makes the change largest",
+            "is also in the normal state for longest per stop",
+            "it is not in the normal state for longest per stop",
         ),
     )
 
