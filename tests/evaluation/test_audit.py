@@ -5,6 +5,7 @@ import pytest
 from synthetic_run import RINGS, make_run, make_steps
 
 import tofssm_drake.evaluation.audit as mut
+from tofssm_drake.evaluation.report import make_audit_section
 from tofssm_drake.ssm.config import SsmConfig
 from tofssm_drake.ssm.standards import AuditConfig, make_latency_budget
 
@@ -96,6 +97,11 @@ def test_nothing_is_measured():
     run = make_constant_run(0.9, 0.0, 1.6)
     for ring in RINGS:
         run[f"{ring}_measured_distance"][:] = np.inf
+    section = make_audit_section(run)
+    assert section["sentences"][-1].startswith("In 100 % of the time")
+    names = [row["name"] for row in section["shortfall"]]
+    assert names[1:] == ["as reckoned", "as measured, links that measure"]
+    assert section["shortfall"][2]["share"] == "\u2013"
     dut = mut.calc_audit(run)
     assert dut.as_reckoned.clear_share == 1.0
     assert not len(dut.measuring.values)
