@@ -5,6 +5,7 @@ import pytest
 from synthetic_run import RINGS, make_run, make_steps
 
 import tofssm_drake.evaluation.audit as mut
+from tofssm_drake.evaluation.report import make_audit_section
 from tofssm_drake.ssm.config import SsmConfig
 from tofssm_drake.ssm.standards import AuditConfig, make_latency_budget
 
@@ -50,7 +51,7 @@ def test_worked_numbers(configuration, v_r, d_C, shortfall):
     run = make_constant_run(d_C, v_r, 1.6, configuration=configuration)
     dut = mut.calc_audit(run)
     assert dut.monitors_person == (configuration == "vo")
-    for part in (dut.walking_in, dut.as_measured):
+    for part in (dut.walking_in, dut.as_reckoned):
         assert part.worst == pytest.approx(shortfall)
         assert part.quantiles == pytest.approx((shortfall,) * 3)
         assert part.share == 1.0
@@ -64,8 +65,47 @@ def test_a_person_who_stands_still():
     """At rest Vo keeps more than is asked for a person who is watched."""
     dut = mut.calc_audit(make_constant_run(0.665, 0.0, 0.0))
     assert dut.walking_in.worst == pytest.approx(1.1 - 0.665)
-    assert dut.as_measured.worst == pytest.approx(0.3 - 0.665)
-    assert dut.as_measured.share == 0.0
+    assert dut.as_reckoned.worst == pytest.approx(0.3 - 0.665)
+    assert dut.as_reckoned.share == 0.0
+    assert math.isnan(dut.as_reckoned.clear_share)
+
+
+def test_what_is_assumed_is_not_measured():
+    """The tool measures a person at rest, the elbow nothing for 2.5 s."""
+    run = make_constant_run(0.9, 0.0, 0.0)
+    t = run["t"]
+    run["tool_measured_distance"][:] = 1.0
+    run["tool_d_C"][:] = make_steps(t, (0, 0.9), (8.0, 0.2), (8.5, 0.9))
+    run["elbow_measured_distance"][:] = np.inf
+    run["elbow_closing_speed"][:] = 1.6
+    run["elbow_sequence"][:] = make_steps(t, (0, -1), (5.0, 0), (7.5, -1))
+    dut = mut.calc_audit(run)
+    assert dut.as_reckoned.share == pytest.approx(3.0 / 9.96, abs=1e-3)
+    assert dut.as_reckoned.clear_share == pytest.approx(2.5 / 3.0, abs=3e-3)
+    assert dut.as_reckoned.worst == pytest.approx(1.1 - 0.9)
+    assert dut.as_reckoned.link == "elbow"
+    # Of the links that measure, only the tool's half second is left.
+    assert dut.measuring.share == pytest.approx(0.5 / 9.96, abs=1e-3)
+    assert dut.measuring.worst == pytest.approx(0.3 - 0.2)
+    assert dut.measuring.clear_share == 0.0
+    row = dut.make_row()
+    assert row["shortfall_as_reckoned_clear_share"] > 0.8
+    assert row["shortfall_measuring_share"] < row["shortfall_as_reckoned_share"]
+
+
+def test_nothing_is_measured():
+    run = make_constant_run(0.9, 0.0, 1.6)
+    for ring in RINGS:
+        run[f"{ring}_measured_distance"][:] = np.inf
+    section = make_audit_section(run)
+    assert section["sentences"][-1].startswith("In 100 % of the time")
+    names = [row["name"] for row in section["shortfall"]]
+    assert names[1:] == ["as reckoned", "as measured, links that measure"]
+    assert section["shortfall"][2]["share"] == "\u2013"
+    dut = mut.calc_audit(run)
+    assert dut.as_reckoned.clear_share == 1.0
+    assert not len(dut.measuring.values)
+    assert math.isnan(dut.measuring.share)
 
 
 def test_lidar_s_offset_is_in_both_distances():
@@ -129,7 +169,7 @@ def test_row_is_flat():
         row = mut.calc_audit(add_metadata(run)).make_row()
         assert all(type(value) is float for value in row.values())
     assert math.isnan(row["shortfall_walking_in_max_m"])
-    assert math.isnan(row["shortfall_as_measured_share"])
+    assert math.isnan(row["shortfall_measuring_share"])
 
 
 def test_old_records_are_not_audited():

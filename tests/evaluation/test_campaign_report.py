@@ -25,7 +25,9 @@ from tofssm_drake.evaluation.campaign import (
 )
 import tofssm_drake.evaluation.campaign_report as mut
 from tofssm_drake.evaluation.claims import (
+    NO_VALUE,
     NOT_REPRODUCED,
+    NOT_RUN,
     REPRODUCED,
     UNDECIDED,
     Claim,
@@ -307,6 +309,16 @@ class TestReport(unittest.TestCase):
         self.assertIn("drake 1.51.1", text)
         self.assertIn("What do the corrections of the printed law", text)
 
+    def test_only_vo_stands_under_the_monitored_speed(self):
+        for row in self.campaign.rows.values():
+            row["shortfall_as_reckoned_p50_m"] = 0.1
+        _, _, text = self.make(results=self.campaign.results)
+        _, _, after = text.partition("speed as it was monitored")
+        table, _, _ = after.partition("Only Vo monitors")
+        self.assertIn("Real Vo 0.10", table)
+        self.assertNotIn("Real Vr", table)
+        self.assertNotIn("speed that Vo measured", text)
+
     def test_failures_are_told(self):
         label = PlannedRun(
             cell=self.campaign.plan.cells[0],
@@ -476,17 +488,73 @@ class TestTables(unittest.TestCase):
     def test_only_vo_monitors_the_person(self):
         campaign = _Campaign()
         for row in campaign.rows.values():
-            row["shortfall_as_measured_p50_m"] = 0.1
-        cells = [
-            Cell(sensing="tof", configuration=c) for c in ("vo", "vr", "sm")
-        ]
-        table = mut.make_cell_table(campaign.results, cells, mut.AUDIT_METRICS)
+            row["shortfall_as_reckoned_p50_m"] = 0.1
+            row["shortfall_as_reckoned_clear_share"] = 0.84
+        cell = Cell(sensing="tof", configuration="vo")
+        table = mut.make_cell_table(
+            campaign.results, [cell], mut.MONITORED_METRICS
+        )
         labels = [label for label, _ in table["head"]]
-        column = labels.index("as measured: median")
-        texts = [texts[column] for _, texts in table["rows"]]
-        self.assertEqual(texts, ["0.10", "\u2013", "\u2013"])
-        walking_in = [texts[0] for _, texts in table["rows"]]
-        self.assertEqual(set(walking_in), {"0.20"})
+        for label, expected in (
+            ("as reckoned: median", "0.10"),
+            ("of that with nothing measured", "84"),
+        ):
+            column = labels.index(label)
+            texts = [texts[column] for _, texts in table["rows"]]
+            self.assertEqual(texts, [expected])
+        labels = {metric.label for metric in mut.AUDIT_METRICS}
+        self.assertNotIn("as reckoned: median", labels)
+
+    def test_counts_have_no_interval_below_zero(self):
+        campaign = _Campaign()
+        cell = Cell(sensing="tof", configuration="vr")
+        for trial, contacts in ((1, 5.0), (2, 0.0)):
+            campaign.rows[f"tof-vr-{trial}"]["contacts_while_moving"] = contacts
+            campaign.rows[f"tof-vo-{trial}"]["contacts_while_moving"] = 0.0
+        metrics = [
+            m for m in mut.METRICS["Safety"] if m.name.startswith("contacts")
+        ]
+        table = mut.make_cell_table(
+            campaign.results,
+            [cell, Cell(sensing="tof", configuration="vo")],
+            metrics,
+        )
+        texts = [text for _, (text,) in table["rows"]]
+        self.assertEqual(texts, ["5 in 1 of 2 runs", "0 in 2 runs"])
+        self.assertEqual(table["head"][0][1], "in all runs")
+        pair = [(cell, Cell(sensing="tof", configuration="vo"))]
+        table = mut.make_difference_table(campaign.results, pair, metrics)
+        self.assertEqual(table["head"][0][1], "per run")
+
+    def test_how_many_stops_are_timed(self):
+        campaign = _Campaign()
+        cell = Cell(sensing="tof", configuration="vo")
+        for trial, timed in ((1, 50.0), (2, 60.0)):
+            campaign.rows[f"tof-vo-{trial}"] |= {
+                "time_to_stop_events": timed,
+                "stop_events": 291.0,
+                "state_changes_per_min": 454.0,
+            }
+        table = mut.make_cell_table(
+            campaign.results,
+            [cell],
+            [m for group in mut.METRICS.values() for m in group],
+        )
+        ((_, texts),) = table["rows"]
+        texts = dict(zip(table["head"], texts, strict=True))
+        self.assertEqual(texts["stops timed", "of all, per run"], "55 of 291")
+        self.assertEqual(texts["state changes", "per minute"], "454")
+
+    def test_no_value_is_not_called_not_run(self):
+        claims = [
+            Claim(key="a", text="a", verdict=verdict, unit="s")
+            for verdict in (NO_VALUE, NOT_RUN, REPRODUCED)
+        ]
+        rows = [mut.make_claim_row(claim) for claim in claims]
+        self.assertEqual([r["is_run"] for r in rows], [True, False, True])
+        self.assertEqual(rows[0]["verdict"], "no value")
+        sentences = mut.make_verdict(_Campaign().results, claims, {})
+        self.assertIn("Of 1 claim of", sentences[0][1])
 
     def test_the_worst_of_all_runs(self):
         """Not the mean of the runs' worst, which is a column of its own."""

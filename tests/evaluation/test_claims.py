@@ -225,6 +225,8 @@ class TestRules(unittest.TestCase):
         self.assertEqual(mut.combine([yes, open_]), open_)
         self.assertEqual(mut.combine([open_, no, yes]), no)
         self.assertEqual(mut.combine([no, missing]), missing)
+        self.assertEqual(mut.combine([yes, mut.NO_VALUE]), mut.NO_VALUE)
+        self.assertEqual(mut.combine([no, mut.NO_VALUE]), no)
         self.assertEqual(mut.combine([]), missing)
 
     def test_format(self):
@@ -352,7 +354,7 @@ class TestClaims(unittest.TestCase):
                         del rows[run.key]
             results = Results(make_results(plan, rows))
             why = mut.claim_rmse(results).why
-            self.assertEqual("changes by +0 mm" in why, studied)
+            self.assertEqual("changes by +0 mm;" in why, studied)
             why = mut.claim_real_reacts_before_ideal(results).why
             self.assertEqual("that comes 0.1 s late" in why, studied)
         results = make_results_of("productivity", by_sensing(0.6, 0.5, 0.2))
@@ -367,8 +369,49 @@ class TestClaims(unittest.TestCase):
     def test_all_averages_of_the_safety_metric_are_told(self):
         results = make_results_of(SAFETY, by_configuration(5.0, 4.0, 9.0))
         note = mut.claim_vo_safer_than_vr(results).note
-        self.assertIn("ratio of means: not run", note)
-        self.assertIn("median: not run", note)
+        self.assertIn("ratio of means: no value", note)
+        self.assertIn("median: no value", note)
+
+    def test_contacts_stand_beside_safety(self):
+        """Also where the claim is reproduced, and of its cells only."""
+        results = make_results_of(
+            [SAFETY, "contacts_while_moving"], by_configuration(5.0, 4.0, 9.0)
+        )
+        found = mut.claim_vo_safer_than_vr(results)
+        self.assertEqual(found.verdict, mut.REPRODUCED)
+        self.assertIn("Contacts while moving: Real Vo", found.note)
+        self.assertNotIn("SM", found.note)
+
+    def test_what_was_run_has_no_value(self):
+        """An event that never happened is no run that is missing."""
+        results = make_results_of(
+            "time_to_stop_s", by_configuration(0.1, 0.2, 0.3)
+        )
+        for row in results._rows[mut.make_cell("ideal", "sm")].values():
+            row["time_to_stop_s"] = float("nan")
+        found = mut.claim_time_to_stop(results)
+        self.assertEqual(found.verdict, mut.NO_VALUE)
+        self.assertEqual(
+            [e.verdict for e in found.evidence].count(mut.NO_VALUE), 2
+        )
+        found = mut.claim_vo_best_times(results)
+        self.assertIn(
+            mut.NO_VALUE,
+            [e.verdict for e in found.evidence if "to stop" in e.what],
+        )
+        found = mut.claim_reaction_anticipates(results)
+        self.assertEqual(found.verdict, mut.NO_VALUE)
+        found = mut.claim_rmse(results)
+        self.assertEqual(found.verdict, mut.NO_VALUE)
+
+    def test_safety_looks_at_the_pair_that_decides(self):
+        """Vr over SM is against the claim; Vo stands longest of all."""
+        results = make_results_of(
+            [SAFETY, "stopped_share"], by_configuration(5.0, 4.0, 3.5)
+        )
+        why = mut.claim_vr_less_safe(results).why
+        self.assertIn("Real Vr over Real SM", why)
+        self.assertNotIn("Real Vo over", why)
 
     def test_keys_are_unique(self):
         found = mut.check_claims(make_results_of(SAFETY, {}))

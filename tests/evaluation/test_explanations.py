@@ -42,8 +42,8 @@ class TestEveryExplanation(unittest.TestCase):
         text = mut.explain_errors(results)
         self.assertIn("Real Vo 50, Ideal Vo 0, Lidar Vo 300", text)
         self.assertIn("whole surface: Real Vo, Ideal Vo.", text)
-        self.assertIn("the sensing's own: Lidar Vo.", text)
-        self.assertNotIn("Without any sensor error", text)
+        self.assertIn("how exactly: Lidar Vo.", text)
+        self.assertNotIn("Without noise", text)
 
     def test_errors_with_the_study(self):
         results = make_results_of(
@@ -52,7 +52,7 @@ class TestEveryExplanation(unittest.TestCase):
         )
         text = mut.explain_errors(results)
         self.assertNotIn("whole surface", text)
-        self.assertIn("Without any sensor error", text)
+        self.assertIn("Without noise", text)
 
     def test_times(self):
         results = make_results_of({"stopped_s": 12.34, "reduced_s": 5.0})
@@ -63,19 +63,60 @@ class TestEveryExplanation(unittest.TestCase):
         )
 
     def test_standing(self):
-        share = {("tof", "vo"): 0.2, ("ideal", "vo"): 0.3}
-        for safety, expected in (
+        """Of the pair that decides, not of who scores highest of all."""
+        share = {("tof", "vo"): 0.2, ("ideal", "vo"): 0.3, ("lidar", "vo"): 0.9}
+        top = {("lidar", "vo"): 9.0}
+        for safety, expected, unexpected in (
             (
-                {("tof", "vo"): 3.0, ("ideal", "vo"): 4.0},
-                "Vo scores highest, and none",
+                {("tof", "vo"): 3.0, ("ideal", "vo"): 4.0} | top,
+                "also stopped for a larger share of its time: Ideal Vo over "
+                "Real Vo (30.0 against 20.0).",
+                "in none",
             ),
-            ({("tof", "vo"): 5.0, ("ideal", "vo"): 4.0}, "though Ideal Vo is"),
+            (
+                {("tof", "vo"): 5.0, ("ideal", "vo"): 4.0} | top,
+                "in none is the one with the higher mean stopped for a larger "
+                "share of its time, so standing does not explain it: Real Vo "
+                "over Ideal Vo (20.0 against 30.0).",
+                "also stopped",
+            ),
         ):
             results = make_results_of({"s": safety, "stopped_share": share})
-            text = mut.explain_standing(results, [REAL, IDEAL], "s")
+            text = mut.explain_standing(
+                results, [REAL, IDEAL, LIDAR], "s", [(REAL, IDEAL)]
+            )
             self.assertIn(expected, text)
-            self.assertIn("Real Vo 20.0, Ideal Vo 30.0", text)
-        self.assertEqual(mut.explain_standing(results, [LIDAR], "s"), "")
+            self.assertNotIn(unexpected, text)
+            self.assertIn("Real Vo 20.0, Ideal Vo 30.0, Lidar Vo 90.0", text)
+        both = mut.explain_standing(
+            results, [REAL, IDEAL, LIDAR], "s", [(REAL, IDEAL), (IDEAL, LIDAR)]
+        )
+        self.assertIn(
+            "also stopped for a larger share of its time: Lidar", both
+        )
+        self.assertIn("which contradicts that: Real Vo over Ideal", both)
+        self.assertEqual(
+            mut.explain_standing(results, [LIDAR], "s", [(REAL, IDEAL)]), ""
+        )
+
+    def test_contacts_are_counted(self):
+        results = make_results_of(
+            {
+                "contacts_while_moving": {
+                    ("tof", "vo"): 2.0,
+                    ("ideal", "vo"): 0.0,
+                }
+            }
+        )
+        self.assertEqual(
+            mut.count_contacts(results, [REAL, IDEAL, LIDAR]),
+            "Contacts while moving: Real Vo 6 in 3 of 3 runs. "
+            "Without one: Ideal Vo.",
+        )
+        self.assertEqual(
+            mut.count_contacts(results, [IDEAL]),
+            "Without a contact while moving: Ideal Vo.",
+        )
 
     def test_seeing(self):
         results = make_results_of(
@@ -130,49 +171,116 @@ class TestEveryExplanation(unittest.TestCase):
         self.assertIn("Real is: Vo +0.20 s, SM", text)
 
     def test_ramps(self):
-        def by_configuration(*values):
-            return {
-                (s, c): value
-                for s in mut.SENSINGS
-                for c, value in zip(mut.CONFIGURATIONS, values, strict=True)
-            }
-
-        times = by_configuration(0.2, 0.4, 0.3)
-        for speeds, count in (((0.1, 0.9, 0.5), 3), ((0.9, 0.1, 0.5), 0)):
-            results = make_results_of(
-                {
-                    "time_to_stop_s": times,
-                    "velocity_change_at_stop_mps": by_configuration(*speeds),
-                }
-            )
-            text = mut.explain_ramps(results)
-            self.assertIn(f"With {count} of 3 sensings", text)
-
-    def test_studies(self):
-        plan = make_small_plan(3, variants=["kmax", "late"])
-        for shift, expected in (
-            (0.5, "Real Vr (k_max 3.3 m/s) +50.0 \u00b1 0.1"),
-            (0.5, "So what was changed there matters to this number."),
-            (0.0, "confidence: none. So nothing that was changed there is"),
+        """A difference that events that begin alike do not have."""
+        times = {("tof", "vo"): 0.14, ("tof", "vr"): 0.20}
+        for alike, expected, unexpected in (
+            (
+                {("tof", "vo"): 0.219, ("tof", "vr"): 0.223},
+                "Real 0.060 and 0.004. So most of the difference comes from "
+                "which events are timed, and from which speed: Real.",
+                "Half of it",
+            ),
+            (
+                {("tof", "vo"): 0.14, ("tof", "vr"): 0.19},
+                "Real 0.060 and 0.050. Half of it or more does not: Real.",
+                "So most",
+            ),
         ):
+            for kind in ("stop", "reduce"):
+                results = make_results_of(
+                    {
+                        f"time_to_{kind}_s": times,
+                        f"time_to_{kind}_alike_s": alike,
+                    }
+                )
+                text = mut.explain_ramps(results, kind)
+                self.assertIn(f"Real Vo {alike['tof', 'vo']:.3f}", text)
+                self.assertIn(expected, text)
+                self.assertNotIn(unexpected, text)
 
-            def change(cell, trial, shift=shift):
-                own = shift + 0.0005 * (trial % 2) * (shift > 0.0)
-                moved = own if cell.variant == "kmax" else 0.0
-                return {"productivity": 0.1 * trial + moved}
+    def test_how_many_are_timed(self):
+        results = make_results_of(
+            {
+                "time_to_stop_events": {("tof", "vo"): 55.0},
+                "stop_events": 291.0,
+            }
+        )
+        text = mut.count_timed(results, "stop")
+        self.assertTrue(text.endswith("per run: Real Vo 55 of 291."), text)
+        self.assertEqual(mut.count_timed(results, "reduce"), "")
 
-            rows = make_rows(plan, {"task_time_s": 80.0}, change)
-            text = mut.explain_studies(
-                Results(make_results(plan, rows)),
-                "productivity",
-                digits=1,
-                scale=100,
-            )
-            self.assertIn("Of 5 cells with something changed", text)
-            self.assertIn(expected, text)
-            self.assertNotIn("late", text)
-        results = make_results_of({"productivity": 0.5})
-        self.assertEqual(mut.explain_studies(results, "productivity"), "")
+    def make_studied(self, change, trials=3, variants=("literal", "late")):
+        plan = make_small_plan(trials, variants=list(variants))
+        rows = make_rows(
+            plan,
+            {"task_time_s": 80.0},
+            lambda cell, trial: {
+                "productivity": 0.1 * trial + change(cell, trial)
+            },
+        )
+        return Results(make_results(plan, rows))
+
+    def test_studies_of_a_number(self):
+        """Only of the claim's cells; what is not decided is not absent."""
+
+        def change(cell, trial):
+            if cell.variant != "literal":
+                return 0.0
+            sure = cell.configuration == "vo"
+            return 0.5 + 0.0005 * (trial % 2) if sure else 0.1 * (trial - 2)
+
+        results = self.make_studied(change)
+        cells = mut.make_cells(("tof",))
+        text = mut.explain_studies(
+            results, "productivity", cells, digits=1, scale=100
+        )
+        self.assertIn("3 comparisons, without correction", text)
+        self.assertIn("Decided: Real Vo (literal law) +50.0 \u00b1 0.1.", text)
+        self.assertIn("Else no change is decided by these trials", text)
+        self.assertIn("Real Vr (literal law) +0.0 \u00b1 24.8", text)
+        for unexpected in ("late", "the cause", "matters"):
+            self.assertNotIn(unexpected, text)
+        text = mut.explain_studies(results, "productivity", cells[1:2])
+        self.assertIn("One comparison).", text)
+        self.assertIn("No change is decided by these trials", text)
+        self.assertEqual(
+            mut.explain_studies(results, "productivity", [LIDAR]), ""
+        )
+        self.assertEqual(
+            mut.explain_studies(
+                make_results_of({"productivity": 0.5}), "productivity", cells
+            ),
+            "",
+        )
+
+    def test_studies_of_a_difference(self):
+        """What changes both cells alike does not change their difference."""
+        vr = mut.make_cell("tof", "vr")
+
+        def change(cell, trial):
+            return 0.5 + 0.001 * trial if cell.variant == "literal" else 0.0
+
+        results = self.make_studied(change)
+        text = mut.explain_studies(
+            results, "productivity", [REAL, vr], [(REAL, vr)]
+        )
+        self.assertIn("Real Vo \u2212 Real Vr (literal law) +0.00", text)
+        self.assertNotIn("Decided", text)
+        # Where one of them is studied its own change is told, and once.
+        text = mut.explain_studies(
+            results,
+            "productivity",
+            [REAL, IDEAL, LIDAR],
+            [(REAL, LIDAR), (REAL, mut.make_cell("lidar", "vr"))],
+        )
+        self.assertIn("One comparison).", text)
+        self.assertIn("Decided: Real Vo (literal law) +0.50", text)
+
+    def test_only_some_of_many_are_told(self):
+        results = self.make_studied(lambda cell, trial: 0.0)
+        text = mut.explain_studies(results, "productivity", mut.make_cells())
+        self.assertIn("The 4 largest:", text)
+        self.assertEqual(text.count("+0.00"), 4)
 
     def test_what_costs_productivity(self):
         vr = mut.make_cell("tof", "vr")
@@ -208,46 +316,19 @@ class TestEveryExplanation(unittest.TestCase):
             text = mut.explain_times(results, [REAL, vr], by="configuration")
             self.assertNotIn("So ", text)
 
-    def test_what_makes_slowing_long(self):
-        times = {("tof", "vo"): 0.2, ("tof", "vr"): 0.3}
-        for normal, expected in (
-            (
-                {("tof", "vo"): 20.0, ("tof", "vr"): 40.0},
-                "So the configuration that takes longest to slow down with "
-                "its sensing is in the normal state for longest between",
-            ),
-            (
-                {("tof", "vo"): 40.0, ("tof", "vr"): 20.0},
-                "So there is one that takes longest to slow down though",
-            ),
-        ):
-            results = make_results_of(
-                {
-                    "time_to_reduce_s": times,
-                    "normal_s": normal,
-                    "reduce_events": 4.0,
-                }
-            )
-            text = mut.explain_slowing(results)
-            self.assertIn("Real Vo " + f"{normal['tof', 'vo'] / 4:.1f}", text)
-            self.assertIn(expected, text)
-            self.assertTrue(text.endswith(": Real Vr."), text)
-
     def test_what_makes_the_velocity_change_large(self):
         speeds = {("tof", "vo"): 0.5, ("tof", "vr"): 0.9}
         for normal, expected in (
             (
                 {("tof", "vo"): 2.0, ("tof", "vr"): 8.0},
                 "So the configuration that has the largest velocity change "
-                "with its sensing is in the normal state for longest per stop, "
-                "so it is more often at full speed when it has to stop: "
-                "Real Vr.",
+                "with its sensing is also in the normal state for longest per "
+                "stop: Real Vr.",
             ),
             (
                 {("tof", "vo"): 8.0, ("tof", "vr"): 2.0},
                 "So there is one that has the largest velocity change though "
-                "it is not in the normal state for longest per stop, so "
-                "something else makes the change largest: Real Vr.",
+                "it is not in the normal state for longest per stop: Real Vr.",
             ),
         ):
             results = make_results_of(
@@ -260,16 +341,31 @@ class TestEveryExplanation(unittest.TestCase):
             text = mut.explain_speeds(results)
             self.assertTrue(text.endswith(expected), text)
 
-    def test_what_makes_chatter(self):
-        changes = {("tof", "vo"): 2.0, ("tof", "vr"): 3.0}
-        for false, expected in (
-            ({("tof", "vo"): 0.0, ("tof", "vr"): 5.0}, "reacts to what is no"),
-            ({("tof", "vo"): 5.0, ("tof", "vr"): 0.0}, "come from the law's"),
+    def test_chatter_per_minute(self):
+        episode = {("tof", "vo"): 2.0, ("tof", "vr"): 3.0}
+        for minute, expected in (
+            ({("tof", "vo"): 40.0, ("tof", "vr"): 50.0}, "in the same order"),
+            ({("tof", "vo"): 50.0, ("tof", "vr"): 40.0}, "in another order"),
         ):
             results = make_results_of(
-                {"state_changes_per_episode": changes, "false_events": false}
+                {
+                    "state_changes_per_episode": episode,
+                    "state_changes_per_min": minute,
+                    "false_events": episode,
+                }
             )
-            self.assertIn(expected, mut.explain_chatter(results))
+            text = mut.explain_chatter(results)
+            first, second = sorted(minute, key=minute.get, reverse=True)
+            order = " > ".join(mut.make_cell(*k).label for k in (first, second))
+            self.assertIn(f"{expected}: {order}.", text)
+            self.assertNotIn("no approach", text)
+
+    def test_an_episode_as_long_as_the_run(self):
+        results = make_results_of(
+            {"slow_episodes": {("tof", "vo"): 20.0, ("lidar", "vo"): 1.0}}
+        )
+        text = mut.tell_long_episodes(results)
+        self.assertTrue(text.endswith("how long the run was: Lidar Vo."), text)
 
     def test_who_asks_for_another_separation(self):
         cells = [REAL, IDEAL]
@@ -310,14 +406,12 @@ class TestEveryExplanation(unittest.TestCase):
     def test_lists(self):
         results = make_results_of(
             {
-                "time_to_reduce_s": -0.25,
                 "velocity_change_at_stop_mps": 0.5,
                 "reduce_events": 3.0,
                 "stop_events": 2.0,
                 "d_C_at_stop_m": 0.98,
             }
         )
-        self.assertIn("Real Vo \u22120.25", mut.explain_slowing(results))
         text = mut.explain_speeds(results)
         for part in ("Real Vo 0.50", "Real Vo 3.0", "Real Vo 2.0"):
             self.assertIn(part, text)
@@ -333,11 +427,16 @@ class TestEveryExplanation(unittest.TestCase):
         for text in (
             mut.explain_errors(nothing),
             mut.explain_times(nothing, cells),
-            mut.explain_standing(nothing, cells, "s"),
+            mut.explain_standing(nothing, cells, "s", [(REAL, IDEAL)]),
             mut.explain_seeing(nothing, cells),
             mut.explain_earliest(nothing, cells),
             mut.explain_late(nothing, cells),
-            mut.explain_slowing(nothing),
+            mut.explain_ramps(nothing, "stop"),
+            mut.count_timed(nothing, "reduce"),
+            mut.count_contacts(nothing, cells),
+            mut.tell_long_episodes(nothing),
+            mut.explain_studies(nothing, "s", cells),
+            mut.explain_studies(nothing, "s", cells, [(REAL, IDEAL)]),
             mut.explain_speeds(nothing),
             mut.explain_law_distances(nothing, "d", "d", cells),
             mut.explain_chatter(nothing),
@@ -345,7 +444,6 @@ class TestEveryExplanation(unittest.TestCase):
             mut.conclude_lidar(nothing),
         ):
             self.assertEqual(text, "")
-        self.assertNotIn(":", mut.explain_ramps(nothing))
         self.assertNotIn(":", mut.explain_real_against_ideal(nothing))
         self.assertEqual(REAL, Cell(sensing="tof", configuration="vo"))
 

@@ -234,6 +234,10 @@ class TestEvents:
         # 0.5 to 0 in 0.2 s: below 0.01 after 0.196 s, at the tick of 0.2 s.
         assert row["time_to_stop_s"] == pytest.approx(0.2)
         assert row["time_to_reduce_s"] == pytest.approx(0.24)
+        # The second stop ends before the robot stands.
+        assert row["time_to_stop_events"] == 1
+        assert row["stop_there_already_events"] == 0
+        assert row["time_to_reduce_events"] == 1
         assert row["state_changes"] == 5
         assert row["state_changes_per_min"] == pytest.approx(5 / 9.96 * 60)
         assert row["slow_episodes"] == 2
@@ -246,6 +250,26 @@ class TestEvents:
         row = mut.calc_run_metrics(run)
         assert math.isnan(row["time_to_stop_s"])
         assert math.isnan(row["time_to_reduce_s"])
+        assert row["time_to_stop_events"] == 0
+        assert row["stop_there_already_events"] == 2
+        assert row["reduce_there_already_events"] == 1
+
+    def test_stops_that_begin_alike(self):
+        """A stop from full speed counts, but not among those from half."""
+        run = self.make()
+        t = run["t"]
+        run.column["speed_fraction"] = np.interp(
+            t,
+            [0, 2.0, 2.24, 3.0, 3.2, 5.0, 5.4, 7.0, 7.08, 7.2],
+            [1, 1, 0.5, 0.5, 0.0, 0.0, 1.0, 1.0, 0.0, 1.0],
+        )
+        row = mut.calc_run_metrics(run)
+        assert row["time_to_stop_events"] == 2
+        assert row["time_to_stop_s"] == pytest.approx(0.14)
+        assert row["time_to_stop_alike_events"] == 1
+        assert row["time_to_stop_alike_s"] == pytest.approx(0.2)
+        assert row["time_to_reduce_alike_events"] == 1
+        assert row["time_to_reduce_alike_s"] == pytest.approx(0.24)
 
     def test_no_events(self):
         row = mut.calc_run_metrics(make_run(5.0))

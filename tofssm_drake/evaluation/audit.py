@@ -11,8 +11,12 @@ the greatest of its links. It is given for two speeds of the person:
 
 - *walking in*: 1.6 m/s towards the robot at all times, which the standard
   asks for where the person's speed is not monitored;
-- *as measured*: the directed speed of the person as the monitor had it, which
-  the standard allows where it is monitored. Only Vo does that.
+- *as reckoned*: the directed speed of the person as the monitor had it, which
+  the standard allows where it is monitored. Only Vo does that. A link that is
+  clear measures no speed: the monitor then assumes V_hmax, and so does this.
+  It is therefore also given *as measured*, over the links that measure a
+  distance only; of the rest it says nothing. (Where a link has just begun to
+  measure, its speed is an assumed one for one frame still.)
 
 Ticks before the end of start-up do not count, nor links of which nothing was
 known.
@@ -79,6 +83,9 @@ class Shortfall:
     """Protective separation distance there, m."""
     d_C: float
     """Critical distance there, m."""
+    clear_share: float
+    """Share of the time with a shortfall above 0 in which the link that
+    decides measured no distance; NaN if there is no such time."""
 
 
 @dc.dataclass(frozen=True, kw_only=True)
@@ -86,7 +93,9 @@ class Audit:
     """What the standards say of a run."""
 
     walking_in: Shortfall
-    as_measured: Shortfall
+    as_reckoned: Shortfall
+    measuring: Shortfall
+    """The same over the links that measure a distance only."""
     monitors_person: bool
     """Whether the law takes the person's speed into account."""
     inside: float
@@ -116,7 +125,8 @@ class Audit:
         row = {}
         for name, shortfall in (
             ("walking_in", self.walking_in),
-            ("as_measured", self.as_measured),
+            ("as_reckoned", self.as_reckoned),
+            ("measuring", self.measuring),
         ):
             row |= {
                 f"shortfall_{name}_p{round(100 * q):02d}_m": value
@@ -125,6 +135,7 @@ class Audit:
             row[f"shortfall_{name}_max_m"] = shortfall.worst
             row[f"shortfall_{name}_share"] = shortfall.share
         return row | {
+            "shortfall_as_reckoned_clear_share": self.as_reckoned.clear_share,
             "inside_protective_s": self.inside,
             "latency_s": self.total_latency,
             "latency_over_T_R_s": self.total_latency - self.T_R,
@@ -153,7 +164,8 @@ def calc_audit(samples: Samples) -> Audit | None:
     d_C = samples.ring("d_C")
     is_known = np.isfinite(d_C) & (samples.ring("sequence") >= 0)
     is_known[:start] = False
-    measured = samples.ring("closing_speed") - v_r
+    v_h = samples.ring("closing_speed") - v_r
+    measures = np.isfinite(samples.ring("measured_distance"))
 
     def calc_S_p(v_h):
         return calc_protective_distance(
@@ -182,8 +194,11 @@ def calc_audit(samples: Samples) -> Audit | None:
             S_p,
             np.full(S_p.shape, about["V_h"]),
         ),
-        as_measured=_find_shortfall(
-            samples, periods, is_known, calc_S_p(measured), measured
+        as_reckoned=_find_shortfall(
+            samples, periods, is_known, calc_S_p(v_h), v_h
+        ),
+        measuring=_find_shortfall(
+            samples, periods, is_known & measures, calc_S_p(v_h), v_h
         ),
         monitors_person=bool(about["monitors_person"]),
         inside=float(periods[inside].sum()),
@@ -196,13 +211,17 @@ def calc_audit(samples: Samples) -> Audit | None:
     )
 
 
-def _find_shortfall(samples, periods, is_known, S_p, v_h):
-    """Returns the shortfall of S_p against d_C, (k, m) each."""
+def _find_shortfall(samples, periods, counts, S_p, v_h):
+    """Returns the shortfall of S_p against d_C, where it counts; (k, m)."""
     d_C = samples.ring("d_C")
-    rows = np.flatnonzero(is_known.any(axis=1))
+    rows = np.flatnonzero(counts.any(axis=1))
     if not len(rows):
         nothing = dict.fromkeys(
-            ("share", "worst", "time", "v_h", "v_r", "S_p", "d_C"), np.nan
+            (
+                *("share", "worst", "time", "v_h", "v_r", "S_p", "d_C"),
+                "clear_share",
+            ),
+            np.nan,
         )
         return Shortfall(
             values=np.empty(0),
@@ -211,16 +230,20 @@ def _find_shortfall(samples, periods, is_known, S_p, v_h):
             **nothing,
         )
     gap = np.full(S_p.shape, -np.inf)
-    np.subtract(S_p, d_C, out=gap, where=is_known)
-    values = gap[rows].max(axis=1)
+    np.subtract(S_p, d_C, out=gap, where=counts)
+    deciding = gap[rows].argmax(axis=1)
+    values = gap[rows, deciding]
     row = int(rows[np.argmax(values)])
     link = int(np.argmax(gap[row]))
     # A critical distance in decimals may miss S_p by the last digit.
     above = values > 1e-9
+    time_above = periods[rows][above].sum()
+    distance = samples.ring("measured_distance")[rows, deciding]
+    time_clear = periods[rows][above & ~np.isfinite(distance)].sum()
     return Shortfall(
         values=values,
         quantiles=tuple(np.quantile(values, QUANTILES).tolist()),
-        share=float(periods[rows][above].sum() / periods[rows].sum()),
+        share=float(time_above / periods[rows].sum()),
         worst=float(gap[row, link]),
         time=float(samples["t"][row]),
         link=samples.rings[link],
@@ -228,4 +251,5 @@ def _find_shortfall(samples, periods, is_known, S_p, v_h):
         v_r=float(samples.ring("link_closing_speed")[row, link]),
         S_p=float(S_p[row, link]),
         d_C=float(d_C[row, link]),
+        clear_share=(float(time_clear / time_above) if time_above else np.nan),
     )

@@ -664,10 +664,19 @@ def make_audit_figure(results: Results, *, narrow: bool = False) -> Figure:
         ax = figure.subplots()
         for i, cell in enumerate(cells):
             colour = SENSING_COLOUR[cell.sensing]
-            _draw_shortfall(ax, i - 0.16, results, cell, "walking_in", colour)
+            _draw_shortfall(ax, i - 0.1, results, cell, "walking_in", colour)
             if cell.configuration == "vo":
                 _draw_shortfall(
-                    ax, i + 0.22, results, cell, "as_measured", GREY
+                    ax, i + 0.18, results, cell, "as_reckoned", GREY
+                )
+                _draw_shortfall(
+                    ax,
+                    i + 0.38,
+                    results,
+                    cell,
+                    "measuring",
+                    GREY,
+                    is_outline=True,
                 )
         ax.axvline(0.0, color=BLACK, linewidth=1.2)
         ax.set_yticks(range(len(cells)), [cell.label for cell in cells])
@@ -685,8 +694,11 @@ def make_audit_figure(results: Results, *, narrow: bool = False) -> Figure:
             ax,
             [
                 Patch(color=BLUE, alpha=0.45, label="walking in at 1.6 m/s"),
+                Patch(color=GREY, alpha=0.45, label="as Vo reckoned"),
                 Patch(
-                    color=GREY, alpha=0.45, label="speed as measured (Vo only)"
+                    facecolor="none",
+                    edgecolor=GREY,
+                    label="the same, links that measure",
                 ),
                 Line2D(
                     [],
@@ -707,12 +719,12 @@ def make_audit_figure(results: Results, *, narrow: bool = False) -> Figure:
                     label="worst tick of all trials",
                 ),
             ],
-            columns=1 if narrow else 4,
+            columns=1 if narrow else 3,
         )
     return figure
 
 
-def _draw_shortfall(ax, y, results, cell, name, colour):
+def _draw_shortfall(ax, y, results, cell, name, colour, *, is_outline=False):
     low, middle, high = (
         results.estimate(cell, f"shortfall_{name}_p{q}_m").mean
         for q in ("05", "50", "95")
@@ -720,7 +732,13 @@ def _draw_shortfall(ax, y, results, cell, name, colour):
     worst = results.values(cell, f"shortfall_{name}_max_m").values()
     if not math.isfinite(middle):
         return
-    ax.barh(y, max(high - low, 0.004), 0.28, left=low, color=colour, alpha=0.45)
+    style = (
+        {"facecolor": "none", "edgecolor": colour}
+        if is_outline
+        else {"color": colour, "alpha": 0.45}
+    )
+    height = 0.16 if cell.configuration == "vo" else 0.28
+    ax.barh(y, max(high - low, 0.004), height, left=low, **style)
     ax.plot(
         middle,
         y,

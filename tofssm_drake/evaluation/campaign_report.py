@@ -14,6 +14,7 @@ from tofssm_drake.evaluation.campaign import (
 )
 from tofssm_drake.evaluation.campaign_figures import CONFIGURATION_NAME
 from tofssm_drake.evaluation.claims import (
+    NO_VALUE,
     NOT_REPRODUCED,
     NOT_RUN,
     REPRODUCED,
@@ -41,6 +42,7 @@ _MARK = {
     REPRODUCED: "\u2713",
     NOT_REPRODUCED: "\u2717",
     UNDECIDED: "?",
+    NO_VALUE: _NONE,
     NOT_RUN: _NONE,
 }
 _KINDS = ("tcp_speed", "true_distance", "measured_distance")
@@ -56,12 +58,37 @@ class Metric:
     unit: str
     digits: int = 2
     scale: float = 1.0
-    configurations: tuple[str, ...] = tuple(CONFIGURATION_NAME)
-    """Those for which it means something; the others have a dash."""
     is_worst: bool = False
     """Whether the greatest value of all runs is told instead of the mean."""
+    is_count: bool = False
+    """Whether the sum and the runs with any are told instead of the mean."""
+    whole: str = ""
+    """Column of which this one counts a part; told as `part of whole`."""
 
 
+def _make_time_metrics(kind, counted, alike):
+    """Columns of the time to stop, or to reduce."""
+    name = f"time_to_{kind}"
+    return (
+        Metric(name=f"{name}_s", label=f"time to {kind}", unit="s", digits=3),
+        Metric(
+            name=f"{name}_events",
+            label=counted,
+            unit="of all, per run",
+            whole=f"{kind}_events",
+        ),
+        Metric(name=f"{name}_alike_s", label=alike, unit="s", digits=3),
+    )
+
+
+_TIMES = {
+    "stop": _make_time_metrics(
+        "stop", "stops timed", "to stop, from half speed"
+    ),
+    "reduce": _make_time_metrics(
+        "reduce", "reductions timed", "to reduce, from full speed"
+    ),
+}
 METRICS = {
     "Safety": (
         Metric(
@@ -96,14 +123,13 @@ METRICS = {
         Metric(
             name="contacts_while_moving",
             label="contacts while moving",
-            unit="per run",
+            unit="in all runs",
+            is_count=True,
         ),
     ),
     "Performance": (
-        Metric(name="time_to_stop_s", label="time to stop", unit="s", digits=3),
-        Metric(
-            name="time_to_reduce_s", label="time to reduce", unit="s", digits=3
-        ),
+        *_TIMES["stop"],
+        *_TIMES["reduce"],
         Metric(name="reaction_time_s", label="reaction time", unit="s"),
         Metric(
             name="missed_events",
@@ -114,11 +140,22 @@ METRICS = {
         Metric(
             name="false_events", label="false stops", unit="per run", digits=1
         ),
+    ),
+    "Performance: changes of state, and what is measured": (
         Metric(
             name="state_changes_per_episode",
             label="state changes",
             unit="per episode",
             digits=1,
+        ),
+        Metric(
+            name="slow_episodes", label="episodes", unit="per run", digits=1
+        ),
+        Metric(
+            name="state_changes_per_min",
+            label="state changes",
+            unit="per minute",
+            digits=0,
         ),
         Metric(
             name="distance_rmse_centre_m",
@@ -193,10 +230,6 @@ def _make_shortfall_metrics(name, label, **options):
 
 AUDIT_METRICS = (
     *_make_shortfall_metrics("walking_in", "shortfall, walking in: median"),
-    # Who does not monitor the person's speed may not count on it.
-    *_make_shortfall_metrics(
-        "as_measured", "as measured: median", configurations=("vo",)
-    ),
     Metric(
         name="inside_protective_s",
         label="not told to stop inside S_p",
@@ -221,6 +254,20 @@ AUDIT_METRICS = (
     ),
 )
 """Columns of the audit's table."""
+MONITORED_METRICS = (
+    *_make_shortfall_metrics("as_reckoned", "as reckoned: median"),
+    Metric(
+        name="shortfall_as_reckoned_clear_share",
+        label="of that with nothing measured",
+        unit="%",
+        digits=0,
+        scale=100.0,
+    ),
+    *_make_shortfall_metrics(
+        "measuring", "as measured, links that measure: median"
+    ),
+)
+"""Columns of the table of those that monitor the person's speed."""
 
 _COMPARED = (
     "productivity",
@@ -236,6 +283,12 @@ _COMPARED = (
 _BY_NAME = {m.name: m for group in METRICS.values() for m in group}
 
 
+def _add_count(metric):
+    """Returns a column with that which tells how many events it is over."""
+    count = _BY_NAME.get(metric.name.removesuffix("_s") + "_events")
+    return (metric, count) if count else (metric,)
+
+
 def make_cell_table(results: Results, cells, metrics) -> dict:
     """Returns a table with a row per cell: mean with interval.
 
@@ -249,9 +302,12 @@ def make_cell_table(results: Results, cells, metrics) -> dict:
     """
 
     def tell(cell, metric):
-        if cell.configuration not in metric.configurations:
-            return _NONE
         value = results.estimate(cell, metric.name)
+        if metric.is_count and value.count:
+            return _count_in_runs(results, cell, metric)
+        if metric.whole and value.count:
+            whole = results.estimate(cell, metric.whole)
+            return f"{value.mean:.0f} of {whole.mean:.0f}"
         if metric.is_worst and value.count:
             known = results.values(cell, metric.name).values()
             worst = max(v for v in known if math.isfinite(v))
@@ -262,6 +318,16 @@ def make_cell_table(results: Results, cells, metrics) -> dict:
         "head": [(m.label, m.unit) for m in metrics],
         "rows": [(cell, [tell(cell, m) for m in metrics]) for cell in cells],
     }
+
+
+def _count_in_runs(results, cell, metric):
+    """Returns `6 in 2 of 5 runs`: counts have no symmetric interval."""
+    known = results.values(cell, metric.name).values()
+    known = [value for value in known if math.isfinite(value)]
+    if not sum(known):
+        return f"0 in {_count(len(known), 'run')}"
+    some = sum(value > 0.0 for value in known)
+    return f"{sum(known):.0f} in {some} of {_count(len(known), 'run')}"
 
 
 def make_difference_table(results: Results, pairs, metrics) -> dict:
@@ -289,7 +355,8 @@ def make_difference_table(results: Results, pairs, metrics) -> dict:
             label = second.label
         rows.append((label, entries))
     # A difference of shares in % is not a share of anything.
-    head = [(m.label, "points" if m.unit == "%" else m.unit) for m in metrics]
+    units = {"%": "points", "in all runs": "per run"}
+    head = [(m.label, units.get(m.unit, m.unit)) for m in metrics]
     return {"head": head, "rows": rows}
 
 
@@ -342,10 +409,12 @@ def make_claim_row(claim: Claim) -> dict:
     return {
         "text": claim.text,
         "verdict": claim.verdict,
+        "is_run": claim.verdict != NOT_RUN,
         "kind": {
             REPRODUCED: "good",
             NOT_REPRODUCED: "bad",
             UNDECIDED: "open",
+            NO_VALUE: "none",
             NOT_RUN: "none",
         }[claim.verdict],
         "unit": claim.unit,
@@ -381,9 +450,9 @@ def make_verdict(
     verdict = []
     count = {
         kind: sum(claim.verdict == kind for claim in found)
-        for kind in (REPRODUCED, NOT_REPRODUCED, UNDECIDED, NOT_RUN)
+        for kind in (REPRODUCED, NOT_REPRODUCED, UNDECIDED, NO_VALUE, NOT_RUN)
     }
-    judged = len(found) - count[NOT_RUN]
+    judged = len(found) - count[NOT_RUN] - count[NO_VALUE]
     if len(results.trials) == 1:
         verdict.append(
             (
@@ -717,12 +786,19 @@ def make_campaign_report(
             results,
             plain,
             [
-                _BY_NAME[metric]
+                column
                 for _, curves in campaign_figures.RADARS
                 for metric, _ in curves
+                for column in _add_count(_BY_NAME[metric])
             ],
         ),
         audit=make_cell_table(results, plain, AUDIT_METRICS),
+        # Who does not monitor the person's speed may not count on it.
+        monitored=make_cell_table(
+            results,
+            [cell for cell in plain if cell.configuration == "vo"],
+            MONITORED_METRICS,
+        ),
         has_audit=any(
             results.estimate(cell, AUDIT_METRICS[0].name).count
             for cell in plain

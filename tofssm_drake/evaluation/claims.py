@@ -13,6 +13,9 @@ it. The rules are the same for all and were fixed before any run:
 - A claim of several parts is not reproduced if one of them is not, and
   reproduced if all of them are.
 - *Not run*: the campaign lacks a cell that the claim speaks of.
+- *No value*: all of them were run, but in one there is nothing to compare,
+  because what the claim speaks of never happened there; the other parts
+  decide nothing against the claim.
 """
 
 from collections.abc import Callable
@@ -32,6 +35,7 @@ REPRODUCED = "reproduced"
 NOT_REPRODUCED = "not reproduced"
 UNDECIDED = "undecided"
 NOT_RUN = "not run"
+NO_VALUE = "no value"
 
 TOLERANCE = 0.2
 """What "about" means, as a fraction."""
@@ -64,7 +68,7 @@ class Claim:
     text: str
     """What the paper says, in our words."""
     verdict: str
-    """REPRODUCED, NOT_REPRODUCED, UNDECIDED or NOT_RUN."""
+    """REPRODUCED, NOT_REPRODUCED, UNDECIDED, NO_VALUE or NOT_RUN."""
     unit: str
     """Of the evidence."""
     evidence: tuple[Evidence, ...] = ()
@@ -102,10 +106,21 @@ def judge_about(value: Estimate, target: float) -> str:
 
 def combine(verdicts: list[str]) -> str:
     """Returns the verdict of a claim of several parts."""
-    for verdict in (NOT_RUN, NOT_REPRODUCED, UNDECIDED):
+    for verdict in (NOT_RUN, NOT_REPRODUCED, NO_VALUE, UNDECIDED):
         if verdict in verdicts:
             return verdict
     return REPRODUCED if verdicts else NOT_RUN
+
+
+def _check_run(results, cells, verdict):
+    """Returns the verdict; that of cells that were run is not "not run"."""
+    is_run = all(cell in results.cells for cell in cells)
+    return NO_VALUE if verdict == NOT_RUN and is_run else verdict
+
+
+def _orient(pairs, least):
+    """Returns the pairs so that the first one is claimed to have more."""
+    return [(b, a) for a, b in pairs] if least else list(pairs)
 
 
 def _compare(results, metric, pairs, *, least=False, scale=1.0):
@@ -119,15 +134,15 @@ def _compare(results, metric, pairs, *, least=False, scale=1.0):
         scale: From the column's unit to the claim's.
     """
     evidence = []
-    for first, second in pairs:
-        if least:
-            first, second = second, first
+    for first, second in _orient(pairs, least):
         difference = results.difference(first, second, metric).scale(scale)
         evidence.append(
             Evidence(
                 what=f"{first.label} \u2212 {second.label}",
                 estimate=difference,
-                verdict=judge_positive(difference),
+                verdict=_check_run(
+                    results, (first, second), judge_positive(difference)
+                ),
             )
         )
     return evidence
@@ -164,12 +179,22 @@ def _claim_safety(results, key, text, pairs, *, least=False, why=""):
             [e.verdict for e in _compare(results, metric, pairs, least=least)]
         )
         others.append(f"by the {SAFETY[metric]}: {verdict}")
-    note = f"By the mean over the samples. {'; '.join(others).capitalize()}."
     cells = _find_cells(pairs)
+    note = explanations.join(
+        f"By the mean over the samples. {'; '.join(others).capitalize()}.",
+        explanations.count_contacts(results, cells),
+    )
+    verdict = combine([e.verdict for e in evidence])
+    oriented = _orient(pairs, least)
+    deciding = [
+        pair
+        for pair, e in zip(oriented, evidence, strict=True)
+        if e.verdict == verdict
+    ]
     why = explanations.join(
-        explanations.explain_standing(results, cells, metrics[0]),
+        explanations.explain_standing(results, cells, metrics[0], deciding),
         why,
-        explanations.explain_studies(results, metrics[0]),
+        explanations.explain_studies(results, metrics[0], cells, oriented),
     )
     return _claim(key, text, "m\u00b2/(m/s)", evidence, note, why)
 
@@ -192,7 +217,7 @@ def _claim_productivity(results, key, text, pairs, *, by="sensing"):
         _compare(results, "productivity", pairs, scale=100.0),
         why=explanations.join(
             explanations.explain_studies(
-                results, "productivity", digits=1, scale=100.0
+                results, "productivity", cells, pairs, digits=1, scale=100.0
             ),
             explanations.explain_times(results, cells, by=by),
         ),
@@ -218,7 +243,7 @@ def _claim_separation(results, key, text, metric, target, asked):
         "m",
         _about(results, metric, [(cell, target) for cell in cells]),
         why=explanations.join(
-            explanations.explain_studies(results, metric),
+            explanations.explain_studies(results, metric, cells),
             explanations.explain_law_distances(results, *asked, cells),
             explanations.conclude_separation(
                 results, metric, asked[1], cells, target, TOLERANCE
@@ -243,7 +268,9 @@ def _about(results, metric, targets, *, scale=1.0):
             Evidence(
                 what=f"{cell.label} (paper: {target:g})",
                 estimate=value,
-                verdict=judge_about(value, target),
+                verdict=_check_run(
+                    results, (cell,), judge_about(value, target)
+                ),
             )
         )
     return evidence
@@ -419,6 +446,12 @@ def claim_real_less_safe_than_ideal(results: Results) -> Claim:
 
 def claim_fastest_reaction(results: Results) -> Claim:
     """Fig. 12 (a): the fastest reaction of the nine."""
+    pairs = [
+        (make_cell("tof", "vo"), make_cell(s, c))
+        for s in SENSINGS
+        for c in CONFIGURATIONS
+        if (s, c) != ("tof", "vo")
+    ]
     return _claim(
         "reaction: Real Vo",
         "Vo with Real reacts fastest of the nine.",
@@ -426,19 +459,19 @@ def claim_fastest_reaction(results: Results) -> Claim:
         _compare(
             results,
             "reaction_time_s",
-            [
-                (make_cell("tof", "vo"), make_cell(s, c))
-                for s in SENSINGS
-                for c in CONFIGURATIONS
-                if (s, c) != ("tof", "vo")
-            ],
+            pairs,
             least=True,
         ),
         "From the true distance's fall to 0.5 m to the stop; an approach "
         "without a stop has no reaction time and counts as missed.",
         why=explanations.join(
             explanations.explain_earliest(results, make_cells()),
-            explanations.explain_studies(results, "reaction_time_s"),
+            explanations.explain_studies(
+                results,
+                "reaction_time_s",
+                make_cells(),
+                _orient(pairs, least=True),
+            ),
         ),
     )
 
@@ -452,7 +485,11 @@ def claim_reaction_anticipates(results: Results) -> Claim:
             Evidence(
                 what=cell.label,
                 estimate=value,
-                verdict=judge_positive(dc.replace(value, mean=-value.mean)),
+                verdict=_check_run(
+                    results,
+                    (cell,),
+                    judge_positive(dc.replace(value, mean=-value.mean)),
+                ),
             )
         )
     return _claim(
@@ -463,7 +500,9 @@ def claim_reaction_anticipates(results: Results) -> Claim:
         evidence,
         why=explanations.join(
             explanations.explain_late(results, make_cells()),
-            explanations.explain_studies(results, "reaction_time_s"),
+            explanations.explain_studies(
+                results, "reaction_time_s", make_cells()
+            ),
         ),
     )
 
@@ -503,7 +542,8 @@ def claim_time_to_stop(results: Results) -> Claim:
                 for c in ("vo", "vr")
             ],
         ),
-        why=explanations.explain_ramps(results),
+        explanations.count_timed(results, "stop"),
+        why=explanations.explain_ramps(results, "stop"),
     )
 
 
@@ -522,8 +562,8 @@ def claim_time_to_reduce(results: Results) -> Claim:
                 for c in ("vr", "sm")
             ],
         ),
-        "It is shorter where the robot had not yet reached full speed again.",
-        why=explanations.explain_slowing(results),
+        explanations.count_timed(results, "reduce"),
+        why=explanations.explain_ramps(results, "reduce"),
     )
 
 
@@ -548,7 +588,14 @@ def claim_vo_best_times(results: Results) -> Claim:
         "time to stop and to slow down.",
         "s",
         evidence,
-        why=explanations.explain_ramps(results),
+        explanations.join(
+            explanations.count_timed(results, "stop"),
+            explanations.count_timed(results, "reduce"),
+        ),
+        why=explanations.join(
+            explanations.explain_ramps(results, "stop"),
+            explanations.explain_ramps(results, "reduce"),
+        ),
     )
 
 
@@ -637,8 +684,11 @@ def claim_vo_smoother(results: Results) -> Claim:
             ],
             least=True,
         ),
-        "An episode lasts from leaving the normal state until the robot is "
-        "back in it for half a second.",
+        explanations.join(
+            "An episode lasts from leaving the normal state until the robot "
+            "is back in it for half a second.",
+            explanations.tell_long_episodes(results),
+        ),
         why=explanations.explain_chatter(results),
         digits=2,
     )

@@ -6,10 +6,14 @@ sentences, and cells that were not run are not spoken of.
 """
 
 import dataclasses as dc
+import math
 
-from tofssm_drake.evaluation.campaign import Cell
+from tofssm_drake.evaluation.campaign import VARIANTS, Cell
 from tofssm_drake.evaluation.results import Results
-from tofssm_drake.evaluation.statistics import format_estimate
+from tofssm_drake.evaluation.statistics import (
+    calc_paired_difference,
+    format_estimate,
+)
 
 SENSINGS = ("tof", "ideal", "lidar")
 """What the paper compares."""
@@ -98,10 +102,17 @@ def explain_errors(results: Results) -> str:
             "places do not stand for the robot's whole surface",
             _name(geometry),
         ),
-        _tell("Half of it or more is the sensing's own", _name(own)),
+        _tell(
+            "Half of it or more is left, which is from what is seen of the "
+            "person (gaps between beams, the height of a plane), when, and "
+            "how exactly",
+            _name(own),
+        ),
         (
-            "Without any sensor error the rings' error changes by "
-            f"{format_estimate(change.scale(1000.0), digits=0, sign=True)} mm."
+            "Without noise and the other errors of a sensor the rings' error "
+            "changes by "
+            f"{format_estimate(change.scale(1000.0), digits=0, sign=True)} mm; "
+            "gaps between beams and the age of what is seen stay."
             if change.count
             else ""
         ),
@@ -159,31 +170,56 @@ def _compare(saved):
     return f"{abs(saved):.1f} s {'more' if saved < 0.0 else 'less'}"
 
 
-def explain_standing(results: Results, cells: list[Cell], metric: str) -> str:
+def count_contacts(results: Results, cells: list[Cell]) -> str:
+    """Tells the contacts while moving, which the safety metric is blind to."""
+    touched, untouched = [], []
+    for cell in cells:
+        values = results.values(cell, "contacts_while_moving").values()
+        known = [value for value in values if math.isfinite(value)]
+        if sum(known):
+            runs = sum(value > 0.0 for value in known)
+            touched.append(
+                f"{cell.label} {sum(known):.0f} in {runs} of {len(known)} runs"
+            )
+        elif known:
+            untouched.append(cell)
+    return join(
+        _tell("Contacts while moving", ", ".join(touched)),
+        _tell(
+            "Without one" if touched else "Without a contact while moving",
+            _name(untouched),
+        ),
+    )
+
+
+def explain_standing(
+    results: Results,
+    cells: list[Cell],
+    metric: str,
+    pairs: list[tuple[Cell, Cell]],
+) -> str:
     """Tells whether the safety metric follows how long the robot stands.
 
     Args:
         results: Of the campaign.
         cells: Those that are compared.
         metric: The safety metric's average.
+        pairs: Those that decide the claim.
     """
     safety = _get_means(results, metric, cells)
     share = _get_means(results, "stopped_share", cells)
     both = [cell for cell in safety if cell in share]
     if len(both) < 2:
         return ""
-    safest = max(both, key=safety.get)
-    longest = max(both, key=share.get)
-    if share[safest] >= share[longest]:
-        verdict = (
-            f"{safest.label} scores highest, and none is stopped for a larger "
-            "share of its time."
-        )
-    else:
-        verdict = (
-            f"{safest.label} scores highest, though {longest.label} is "
-            "stopped for a larger share of its time: that alone does not "
-            "explain the order."
+    fits, against = [], []
+    for pair in pairs:
+        if not set(pair) <= set(both):
+            continue
+        high, low = sorted(pair, key=safety.get, reverse=True)
+        side = fits if share[high] > share[low] else against
+        side.append(
+            f"{high.label} over {low.label} ({_format(100 * share[high], 1)} "
+            f"against {_format(100 * share[low], 1)})"
         )
     return join(
         "The metric divides by the tool speed, so a slow robot scores high.",
@@ -195,7 +231,20 @@ def explain_standing(results: Results, cells: list[Cell], metric: str) -> str:
             digits=1,
             scale=100,
         ),
-        verdict,
+        _tell(
+            "Of the pairs on which the verdict rests, in these the one with "
+            "the higher mean is also stopped for a larger share of its time",
+            ", ".join(fits),
+        ),
+        _tell(
+            "In these it is not stopped for a larger share, which contradicts "
+            "that"
+            if fits
+            else "Of the pairs on which the verdict rests, in none is the one "
+            "with the higher mean stopped for a larger share of its time, so "
+            "standing does not explain it",
+            ", ".join(against),
+        ),
     )
 
 
@@ -263,7 +312,9 @@ def explain_late(results: Results, cells: list[Cell]) -> str:
         _tell_means(
             results,
             "A stop is early where the law asks for more than 0.5 m between "
-            "the surfaces. Its d_C at the stops, from the link's centre (m)",
+            "the surfaces. Its d_C at the stops, from the place that is "
+            "measured from (a link's centre, with the Lidar the base's axis; "
+            "m)",
             "d_C_at_stop_m",
             cells,
         ),
@@ -299,30 +350,72 @@ def explain_real_against_ideal(results: Results) -> str:
     )
 
 
-def explain_ramps(results: Results) -> str:
-    """Tells whether who takes longest to stop was the fastest before."""
-    same = total = 0
+_TIMED = {
+    "stop": (
+        "Timed are the stops in which the robot comes to stand; the others "
+        "find it standing or end before",
+        "Over stops that begin at about half of the speed alone (s)",
+    ),
+    "reduce": (
+        "Timed are the changes in which the robot gets down to half of the "
+        "speed; the others find it as slow or end before",
+        "Over changes that begin at full speed alone (s)",
+    ),
+}
+"""How to tell what is timed, and what of it begins alike."""
+
+
+def count_timed(results: Results, kind: str) -> str:
+    """Tells how many of the events have a time to stop, or to reduce.
+
+    Args:
+        results: Of the campaign.
+        kind: `stop` or `reduce`.
+    """
+    counted = _get_means(results, f"time_to_{kind}_events", make_cells())
+    every = _get_means(results, f"{kind}_events", list(counted))
+    listed = ", ".join(
+        f"{cell.label} {_format(counted[cell], 0)} of {_format(every[cell], 0)}"
+        for cell in every
+    )
+    return _tell(f"{_TIMED[kind][0]}; per run", listed)
+
+
+def explain_ramps(results: Results, kind: str) -> str:
+    """Tells whether times differ by themselves or by what is timed.
+
+    Args:
+        results: Of the campaign.
+        kind: `stop` or `reduce`.
+    """
+    metric, alike = f"time_to_{kind}_s", f"time_to_{kind}_alike_s"
+    less, stays, spreads = [], [], []
     for s in SENSINGS:
         cells = make_cells((s,))
-        times = _get_means(results, "time_to_stop_s", cells)
-        speeds = _get_means(results, "velocity_change_at_stop_mps", cells)
-        if len(times) > 1 and set(times) == set(speeds):
-            total += 1
-            same += max(times, key=times.get) == max(speeds, key=speeds.get)
+        like = _get_means(results, alike, cells)
+        mean = _get_means(results, metric, list(like))
+        if len(like) < 2 or len(mean) < len(like):
+            continue
+        spread, left = (
+            max(of.values()) - min(of.values()) for of in (mean, like)
+        )
+        name = next(iter(like)).label.split()[0]
+        spreads.append(f"{name} {_format(spread, 3)} and {_format(left, 3)}")
+        side = less if left < 0.5 * spread else stays
+        side.append(name)
     return join(
-        "A stop lasts as long as the speed fraction has to fall.",
-        _tell_means(
-            results,
-            "Tool speed at a stop (m/s)",
-            "velocity_change_at_stop_mps",
-            make_cells(),
+        _tell_means(results, _TIMED[kind][1], alike, make_cells(), digits=3),
+        _tell(
+            "The largest mean less the smallest of the configurations, over "
+            "all that are timed and over these alone (s)",
+            ", ".join(spreads),
         ),
-        (
-            f"With {same} of {total} sensings, the configuration that takes "
-            "longest is the one with the fastest tool."
-            if total
-            else ""
+        _tell(
+            "So most of the difference comes from which events are timed, and "
+            "from which speed",
+            ", ".join(less),
         ),
+        _tell("Half of it or more does not", ", ".join(stays)),
     )
 
 
@@ -333,27 +426,6 @@ def _calc_normal_stretch(results, event, cells):
     stretch = {c: normal[c] / count[c] for c in normal if count.get(c)}
     listed = ", ".join(f"{c.label} {_format(s, 1)}" for c, s in stretch.items())
     return stretch, listed
-
-
-def explain_slowing(results: Results) -> str:
-    """Tells whether who takes longest to slow down had run the longest."""
-    cells = make_cells()
-    stretch, listed = _calc_normal_stretch(results, "reduce_events", cells)
-    return join(
-        _tell_means(
-            results, "Mean time to reduce (s)", "time_to_reduce_s", cells
-        ),
-        _tell("Time in the normal state per change to reduced (s)", listed),
-        _conclude_greatest(
-            _get_means(results, "time_to_reduce_s", cells),
-            stretch,
-            "takes longest to slow down",
-            "is in the normal state for longest between, so it is more often "
-            "back at full speed when it has to slow down",
-            "it is not in the normal state for longest between, so something "
-            "else makes it take longest",
-        ),
-    )
 
 
 def _conclude_greatest(effect, cause, what, agrees, differs):
@@ -411,36 +483,63 @@ def explain_speeds(results: Results) -> str:
             _get_means(results, "velocity_change_at_stop_mps", cells),
             stretch,
             "has the largest velocity change",
-            "is in the normal state for longest per stop, so it is more often "
-            "at full speed when it has to stop",
-            "it is not in the normal state for longest per stop, so something "
-            "else makes the change largest",
+            "is also in the normal state for longest per stop",
+            "it is not in the normal state for longest per stop",
         ),
     )
 
 
+def tell_long_episodes(results: Results) -> str:
+    """Tells where changes per episode say nothing."""
+    episodes = _get_means(results, "slow_episodes", make_cells())
+    return _tell(
+        "About one episode lasts the whole run, so that changes per episode "
+        "only tell how long the run was",
+        _name([cell for cell, count in episodes.items() if 0 < count <= 1.5]),
+    )
+
+
 def explain_chatter(results: Results) -> str:
-    """Tells whether many changes go with many or with long episodes."""
+    """Tells whether per minute the order is that per episode."""
     cells = make_cells()
+    per_episode = _get_means(results, "state_changes_per_episode", cells)
+    per_minute = _get_means(results, "state_changes_per_min", cells)
+    same, other = [], []
+    for s in SENSINGS:
+        known = [
+            cell
+            for cell in make_cells((s,))
+            if cell in per_episode and cell in per_minute
+        ]
+        if len(known) < 2:
+            continue
+        order = sorted(known, key=per_minute.get, reverse=True)
+        side = (
+            same
+            if order == sorted(known, key=per_episode.get, reverse=True)
+            else other
+        )
+        side.append(" > ".join(cell.label for cell in order))
     return join(
         _tell_means(
             results,
             "Changes of state per episode",
             "state_changes_per_episode",
             cells,
+            digits=1,
         ),
         _tell_means(
             results, "Episodes per run", "slow_episodes", cells, digits=1
         ),
-        _conclude_greatest(
-            _get_means(results, "state_changes_per_episode", cells),
-            _get_means(results, "false_events", cells),
-            "changes its state most often per episode",
-            "has the most stops without an approach, so it reacts to what is "
-            "no approach",
-            "it has not the most stops without an approach, so its changes "
-            "come from the law's distances while the person is near",
+        _tell_means(
+            results,
+            "Changes of state per minute",
+            "state_changes_per_min",
+            cells,
+            digits=0,
         ),
+        _tell("Per minute the means are in the same order", "; ".join(same)),
+        _tell("Per minute they are in another order", "; ".join(other)),
     )
 
 
@@ -537,38 +636,111 @@ def explain_law_distances(
 
 
 def explain_studies(
-    results: Results, metric: str, *, digits: int = 2, scale: float = 1.0
+    results: Results,
+    metric: str,
+    cells: list[Cell],
+    pairs: list[tuple[Cell, Cell]] | None = None,
+    *,
+    digits: int = 2,
+    scale: float = 1.0,
 ) -> str:
-    """Tells which of the studies that were run change a metric for sure.
+    """Tells by how much the studies that were run change what is claimed.
+
+    A change whose interval contains 0 is not decided: that does not say that
+    there is none.
 
     Args:
         results: Of the campaign.
         metric: Column.
+        cells: Those that the claim speaks of.
+        pairs: (first, second) if the claim is on the difference first -
+            second: then it is that difference that changes, and what changes
+            both alike does not count.
         digits: Of the changes.
         scale: From the column's unit to that of the text.
     """
-    changed = []
-    count = 0
-    for cell in results.cells:
-        if not cell.variant:
-            continue
-        plain = dc.replace(cell, variant="")
-        value = results.difference(cell, plain, metric).scale(scale)
-        if value.count < 2:
-            continue
-        count += 1
-        if value.low > 0.0 or value.high < 0.0:
-            change = format_estimate(value, digits=digits, sign=True)
-            changed.append(f"{cell.label} {change}")
-    if not count:
-        return ""
-    return join(
-        _tell(
-            f"Of {count} cells with something changed, these differ with 95 % "
-            "confidence",
-            ", ".join(changed) or "none",
-        ),
-        "So what was changed there matters to this number."
-        if changed
-        else "So nothing that was changed there is the cause.",
+    changes = (
+        _list_changes(results, metric, cells)
+        if pairs is None
+        else _list_difference_changes(results, metric, pairs)
     )
+    changes = [(n, v.scale(scale)) for n, v in changes if v.count > 1]
+    decided = [c for c in changes if c[1].low > 0.0 or c[1].high < 0.0]
+    rest = [change for change in changes if change not in decided]
+    rest.sort(key=lambda change: -abs(change[1].mean))
+    if not changes:
+        return ""
+
+    def tell(listed):
+        return "; ".join(
+            f"{name} {format_estimate(value, digits=digits, sign=True)}"
+            for name, value in listed
+        )
+
+    what = (
+        "the number"
+        if pairs is None
+        else "the claimed difference, or of a cell where only that one of the "
+        "two was studied"
+    )
+    count = (
+        "One comparison"
+        if len(changes) == 1
+        else f"{len(changes)} comparisons, without correction for their number"
+    )
+    shown = f" The {_SHOWN} largest" if len(rest) > _SHOWN else ""
+    return join(
+        f"What the studies change of {what} (95 % confidence; {count}).",
+        _tell("Decided", tell(decided)),
+        f"{'Else no' if decided else 'No'} change is decided by these trials, "
+        f"which does not say that there is none.{shown or ' They are'}: "
+        f"{tell(rest[:_SHOWN])}."
+        if rest
+        else "",
+    )
+
+
+_SHOWN = 4
+"""How many changes that are not decided are told."""
+
+
+def _list_changes(results, metric, cells):
+    """Returns (name, change) of each cell with a study."""
+    return [
+        (cell.label, results.difference(cell, plain, metric))
+        for cell in results.cells
+        if cell.variant and (plain := dc.replace(cell, variant="")) in cells
+    ]
+
+
+def _list_difference_changes(results, metric, pairs):
+    """Returns (name, change) of each pair and study, each change once.
+
+    Where only one cell of a pair was studied it is that cell that changes.
+    """
+    studied = [cell.variant for cell in results.cells if cell.variant]
+    changes = {}
+    for pair in pairs:
+        for key in dict.fromkeys(studied):
+            changed = [dc.replace(cell, variant=key) for cell in pair]
+            known = [cell for cell in changed if cell in results.cells]
+            if len(known) == 1:
+                plain = dc.replace(known[0], variant="")
+                changes[known[0].label] = results.difference(
+                    known[0], plain, metric
+                )
+            elif known:
+                name = " \u2212 ".join(cell.label for cell in pair)
+                changes[f"{name} ({VARIANTS[key].label})"] = (
+                    calc_paired_difference(
+                        _get_difference(results, metric, *changed),
+                        _get_difference(results, metric, *pair),
+                    )
+                )
+    return list(changes.items())
+
+
+def _get_difference(results, metric, first, second):
+    """Returns first - second by trial."""
+    one, other = results.values(first, metric), results.values(second, metric)
+    return {trial: one[trial] - other[trial] for trial in one if trial in other}

@@ -624,12 +624,24 @@ def make_audit_section(samples: Samples) -> dict | None:
         f"robot's time was the longer one for "
         f"{100 * audit.slow_share:.0f} % of the run.",
     ]
+    clear = audit.as_reckoned.clear_share
+    if audit.monitors_person and math.isfinite(clear):
+        sentences.append(
+            f"In {100 * clear:.0f} % of the time that is too short as "
+            "reckoned, the link that decides measured nothing: there the "
+            "speed of the person is assumed."
+        )
     late = audit.total_latency - audit.T_R
     return {
         "shortfall": [
             _make_shortfall_row(f"walking in at {worst.v_h:.1f} m/s", worst),
             *(
-                [_make_shortfall_row("as measured", audit.as_measured)]
+                [
+                    _make_shortfall_row("as reckoned", audit.as_reckoned),
+                    _make_shortfall_row(
+                        "as measured, links that measure", audit.measuring
+                    ),
+                ]
                 if audit.monitors_person
                 else []
             ),
@@ -663,7 +675,11 @@ def _make_shortfall_row(name, shortfall):
         "name": name,
         "quantiles": [format_number(q) for q in shortfall.quantiles],
         "worst": format_number(shortfall.worst),
-        "share": f"{100 * shortfall.share:.0f} %",
+        "share": (
+            f"{100 * shortfall.share:.0f} %"
+            if len(shortfall.values)
+            else "\u2013"
+        ),
     }
 
 

@@ -26,7 +26,11 @@ those of `tofssm_drake.evaluation.metrics`:
 - The *time to stop* is that from a stop event until the speed fraction is
   below 0.01; the *time to reduce* that from a reduce event until it is at
   most 0.5. It does not exist where the speed fraction was there already, or
-  where the state rises again before.
+  where the state rises again before; such events do not count in the mean,
+  but they are counted. Who chatters has many of them, and then what counts
+  begins at other speeds than elsewhere. So the means are also given over
+  events that begin alike: stops from the reduced speed fraction (0.5 +- 0.05)
+  and reductions from full speed (at least 0.95).
 - The *distance error* is that of the nearest distance over the links, as it
   stood at that tick, against ||D_gt||, while ||D_gt|| is within the sensors'
   best range (1.31 m) and any link reports a distance. `centre` takes the
@@ -68,6 +72,8 @@ BEST_RANGE = 1.31
 """Distance up to which distance errors are compared, m (paper)."""
 _SETTLE_TIME = 0.5
 _REDUCED = 0.5
+# The speed fraction falls in the tick of the event already.
+_ALIKE = 0.05
 # A profile that ends at the reduced speed fraction gets there but for
 # rounding.
 _ROUNDING = 1e-6
@@ -182,7 +188,7 @@ def _find_merged_spans(t, flags):
 
 
 def _find_times_until(t, state, rho, rows, limit):
-    """Returns how long rho takes from each row to the limit, where it does.
+    """Returns how long rho takes from each row to the limit; NaN: it does not.
 
     Args:
         t: Times, s, (k,).
@@ -190,16 +196,39 @@ def _find_times_until(t, state, rho, rows, limit):
         rho: Speed fraction, (k,).
         rows: Rows of the events.
         limit: rho has to be below it.
+
+    Returns:
+        Times, s, (n,).
     """
-    times = []
-    for row in rows:
+    times = np.full(len(rows), np.nan)
+    for i, row in enumerate(rows):
         if rho[row] < limit:
             continue
         there = np.flatnonzero(rho[row:] < limit)
         risen = np.flatnonzero(state[row:] > state[row])
         if len(there) and not (len(risen) and risen[0] < there[0]):
-            times.append(t[row + there[0]] - t[row])
+            times[i] = t[row + there[0]] - t[row]
     return times
+
+
+def _calc_times(name, times, rho, limit, is_alike):
+    """Returns the metrics of times to stop or to reduce.
+
+    Args:
+        name: Of the columns, `stop` or `reduce`.
+        times: From `_find_times_until`, s, (n,).
+        rho: Speed fraction at each event, (n,).
+        limit: Of the speed fraction.
+        is_alike: Which events begin alike, (n,).
+    """
+    counts = np.isfinite(times)
+    return {
+        f"time_to_{name}_s": _mean(times[counts]),
+        f"time_to_{name}_events": float(counts.sum()),
+        f"{name}_there_already_events": float((rho < limit).sum()),
+        f"time_to_{name}_alike_s": _mean(times[counts & is_alike]),
+        f"time_to_{name}_alike_events": float((counts & is_alike).sum()),
+    }
 
 
 def calc_run_metrics(samples: Samples) -> dict[str, float]:
@@ -220,7 +249,10 @@ def calc_run_metrics(samples: Samples) -> dict[str, float]:
         - `stop_events`, `reduce_events`, `velocity_change_at_stop_mps`,
           `separation_at_stop_m`, `separation_at_reduce_m`, `d_C_at_stop_m`,
           `d_R_at_reduce_m` (of the link that decides), `time_to_stop_s`,
-          `time_to_reduce_s`: means over the events;
+          `time_to_reduce_s`: means over the events. Of the latter two also
+          `_events`, how many count, `_alike_s` and `_alike_events` over those
+          that begin alike, and `stop_there_already_events`,
+          `reduce_there_already_events`, how many were as slow before;
         - `approaches`, `reaction_events`, `reaction_time_s` (mean),
           `missed_events`, `false_events`;
         - `distance_rmse_centre_m`, `distance_rmse_surface_m`,
@@ -326,7 +358,22 @@ def _calc_events(samples):
     episodes = find_episodes(samples, events)
     running = float(periods[start:].sum())
     changes = sum(episode.changes for episode in episodes)
-    return {
+    at_stop, at_reduce = rho[find_rows(stops)], rho[find_rows(reductions)]
+    slow = _REDUCED + _ROUNDING
+    times = _calc_times(
+        "stop",
+        _find_times_until(t, state, rho, find_rows(stops), STANDING),
+        at_stop,
+        STANDING,
+        np.abs(at_stop - _REDUCED) <= _ALIKE,
+    ) | _calc_times(
+        "reduce",
+        _find_times_until(t, state, rho, find_rows(reductions), slow),
+        at_reduce,
+        slow,
+        at_reduce >= 1.0 - _ALIKE,
+    )
+    return times | {
         "stop_events": float(len(stops)),
         "reduce_events": float(len(reductions)),
         "velocity_change_at_stop_mps": _mean([e.tcp_speed for e in stops]),
@@ -334,14 +381,6 @@ def _calc_events(samples):
         "separation_at_reduce_m": separation(reductions),
         "d_C_at_stop_m": asked(stops, "d_C"),
         "d_R_at_reduce_m": asked(reductions, "d_R"),
-        "time_to_stop_s": _mean(
-            _find_times_until(t, state, rho, find_rows(stops), STANDING)
-        ),
-        "time_to_reduce_s": _mean(
-            _find_times_until(
-                t, state, rho, find_rows(reductions), _REDUCED + _ROUNDING
-            )
-        ),
         "stopped_s": stopped,
         "reduced_s": duration(RobotState.REDUCED),
         "normal_s": duration(RobotState.NORMAL),
