@@ -15,6 +15,7 @@ class Scheduler:
         self.refuses = refuses
         self.policies = {t.native_id: policy for t in threading.enumerate()}
         self.policies[0] = policy
+        self.processors = {number: {0, 1, 3} for number in self.policies}
 
     def get(self, number):
         return self.policies[number]
@@ -27,13 +28,22 @@ class Scheduler:
             self.policies[0] = policy
 
     def run(self):
-        """Returns what is yielded, and the policies within."""
+        """Returns what is yielded, and policies and processors within."""
         with (
+            mock.patch.object(os, "sched_getaffinity", self.processors.get),
+            mock.patch.object(
+                os, "sched_setaffinity", self.processors.__setitem__
+            ),
             mock.patch.object(os, "sched_getscheduler", self.get),
             mock.patch.object(os, "sched_setscheduler", self.set),
             mut.run_in_real_time() as granted,
         ):
-            return granted, set(self.policies.values())
+            threads = [t.native_id for t in threading.enumerate()]
+            return (
+                granted,
+                {self.policies[t] for t in threads},
+                [self.processors[t] for t in threads],
+            )
 
 
 class TestRealTime(unittest.TestCase):
@@ -48,18 +58,26 @@ class TestRealTime(unittest.TestCase):
         scheduler = Scheduler()
         # What is started within has no such priority.
         policy = os.SCHED_FIFO | os.SCHED_RESET_ON_FORK
-        self.assertEqual(scheduler.run(), (True, {policy}))
+        granted, policies, processors = scheduler.run()
+        self.assertEqual((granted, policies), (True, {policy}))
+        # The last of those that it may use.
+        self.assertEqual(processors, [{3}] * 2)
         self.assertEqual(set(scheduler.policies.values()), {os.SCHED_OTHER})
+        self.assertEqual(list(scheduler.processors.values()), [{0, 1, 3}] * 3)
 
     def test_refused(self):
         scheduler = Scheduler(refuses=True)
-        self.assertEqual(scheduler.run(), (False, {os.SCHED_OTHER}))
+        self.assertEqual(
+            scheduler.run(), (False, {os.SCHED_OTHER}, [{0, 1, 3}] * 2)
+        )
 
     def test_idle_is_no_priority(self):
         scheduler = Scheduler(policy=os.SCHED_IDLE)
-        self.assertEqual(scheduler.run(), (False, {os.SCHED_IDLE}))
+        self.assertEqual(scheduler.run()[:2], (False, {os.SCHED_IDLE}))
 
     def test_what_it_was_started_with_stays(self):
         scheduler = Scheduler(policy=os.SCHED_RR)
-        self.assertEqual(scheduler.run(), (True, {os.SCHED_RR}))
+        self.assertEqual(
+            scheduler.run(), (True, {os.SCHED_RR}, [{0, 1, 3}] * 2)
+        )
         self.assertEqual(set(scheduler.policies.values()), {os.SCHED_RR})
