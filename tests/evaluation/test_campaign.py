@@ -272,6 +272,15 @@ class TestResults(unittest.TestCase):
         )
         self.assertIsNone(Results(results).alone)
 
+    def test_table_of_rows_old_and_new(self):
+        """Nothing that only some rows have is lost."""
+        with tempfile.TemporaryDirectory() as folder:
+            path = mut.write_results(
+                Path(folder), [{"a": 1.0}, {"a": 2.0, "b": 3.0}]
+            )
+            table = pq.read_table(path).to_pylist()
+        self.assertEqual(table, [{"a": 1.0, "b": None}, {"a": 2.0, "b": 3.0}])
+
     def test_table(self):
         results = mut.make_results(self.plan, self.rows)
         with tempfile.TemporaryDirectory() as folder:

@@ -598,7 +598,11 @@ def make_results(plan: Plan, rows: dict[str, dict]) -> list[dict]:
 def write_results(folder: Path, results: list[dict]) -> Path:
     """Writes results.parquet, one row per run; returns its path."""
     path = Path(folder) / "results.parquet"
-    table = pa.Table.from_pylist(results)
+    # Rows of an older version of this program may lack some.
+    names = list(dict.fromkeys(name for row in results for name in row))
+    table = pa.Table.from_pydict(
+        {name: [row.get(name) for row in results] for name in names}
+    )
     buffer = io.BytesIO()
     pq.write_table(table, buffer)
     write_atomically(path, lambda p: p.write_bytes(buffer.getvalue()))
