@@ -125,7 +125,7 @@ def run_in_real_time() -> Iterator[bool]:
     would hold up those that wait for the interpreter. They also keep to one
     processor, since to wake a thread on another one takes longer. A program
     that was started with a real-time priority is left as it is. Threads and
-    programs that are started within have none.
+    programs that are started within share the processor, not the priority.
 
     Yields:
         Whether they have a real-time priority.

@@ -143,16 +143,7 @@ def capsule_ends(motion: HumanMotion, t: float) -> np.ndarray:
         Ends A and B in W in the order of CAPSULES, m, shape (c, 2, 3).
     """
     ends = np.empty((len(CAPSULES), 2, 3))
-    _calc_capsule_ends(
-        motion.joints,
-        CAPSULE_FIRST,
-        CAPSULE_SECOND,
-        motion.lengths,
-        motion.dt,
-        motion.loops,
-        t,
-        ends,
-    )
+    _calc_capsule_ends(*_list_settings(motion), t, ends)
     return ends
 
 
@@ -168,13 +159,18 @@ def capsule_ends_over_time(motion: HumanMotion, t: np.ndarray) -> np.ndarray:
     """
     ends = np.empty((len(t), len(CAPSULES), 2, 3))
     _calc_capsule_ends_rows(
+        *_list_settings(motion), np.array(t, dtype=float), ends
+    )
+    return ends
+
+
+def _list_settings(motion):
+    """Returns what the kernels take of a motion, in their order."""
+    return (
         motion.joints,
         CAPSULE_FIRST,
         CAPSULE_SECOND,
         motion.lengths,
         motion.dt,
         motion.loops,
-        np.array(t, dtype=float),
-        ends,
     )
-    return ends
