@@ -149,6 +149,7 @@ class _Ticker:
                 "reason",
                 "speed_fraction",
                 "separation",
+                "dsi",
             )
         }
         self._publisher = station.GetSubsystemByName("robot_publisher")
@@ -250,6 +251,8 @@ class _Ticker:
             self._rings.get_output_port(i).Eval(self._ring_context).sequence
             for i in range(len(RINGS))
         ]
+        # Of scans alone: what came before its tick is not computed in it.
+        self.ask("dsi")
         return True
 
     def _show_offset(self, clock_offset):

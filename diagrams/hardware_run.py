@@ -10,6 +10,7 @@ import contextlib
 import gc
 import math
 import os
+import pathlib
 import sys
 import threading
 import time
@@ -47,6 +48,9 @@ _PATH_STEP = 0.05
 _SWITCH_INTERVAL = 0.0005
 # Above all that is not real-time, and below the system's own threads (50).
 _PRIORITY = 10
+# While this file is open, Linux lets no processor sleep more deeply than is
+# awoken within the microseconds that were written to it.
+_LATENCY = pathlib.Path("/dev/cpu_dma_latency")
 # Between two lines about what is waited for, s.
 _QUIET = 2.0
 
@@ -154,6 +158,28 @@ def run_in_real_time() -> Iterator[bool]:
             with contextlib.suppress(OSError):
                 os.sched_setaffinity(number, processors)
                 os.sched_setscheduler(number, usual, os.sched_param(0))
+
+
+@contextlib.contextmanager
+def keep_processors_awake() -> Iterator[bool]:
+    """Keeps the processors from sleeping, where the system allows it.
+
+    They sleep between two reports, and what wakes from a deep sleep computes
+    slowly for a while. The system takes the wish back when the program ends,
+    however it does.
+
+    Yields:
+        Whether they stay awake.
+    """
+    try:
+        wish = _LATENCY.open("r+b", buffering=0)
+        # A 32-bit number.
+        wish.write(bytes(4))
+    except OSError:
+        yield False
+        return
+    with wish:
+        yield True
 
 
 def wait_for_robot(

@@ -16,6 +16,7 @@ from tofssm_drake.diagrams.hardware_loop import HardwareLoop, TickResult
 from tofssm_drake.diagrams.hardware_run import (
     HardwareRun,
     keep_interpreter_quiet,
+    keep_processors_awake,
     require_control_period,
     require_ready,
     run_in_real_time,
@@ -286,6 +287,7 @@ def hardware(
             )
         stack.enter_context(keep_interpreter_quiet())
         is_real_time = stack.enter_context(run_in_real_time())
+        stack.enter_context(keep_processors_awake())
         run = HardwareRun(
             loop=loop,
             robot=robot,

@@ -30,6 +30,8 @@ from tofssm_drake.messages import (
 )
 from tofssm_drake.robot.kinematics import RingKinematics
 from tofssm_drake.robot.program import make_program_path
+from tofssm_drake.sensing import separation
+from tofssm_drake.ssm import dsi_filter
 
 _HOST = 900.0
 """Host's time when the Diagram's is 0, s."""
@@ -270,6 +272,29 @@ class TestEarlyScans(unittest.TestCase):
         # Here nothing moves: it does not matter when they were taken.
         self.assertEqual(said, self.run_bench("late")[0])
         self.assertGreater(len({str(s["distance"]) for s in said}), 10)
+
+    def test_computed_before_their_tick(self):
+        scenario = load_scenario(text="{human: !NoHuman {}}")
+        loop = HardwareLoop(scenario=scenario, virtual_rings=False)
+        bench = Bench(loop, scenario)
+        bench.scans = (RingScan(),) * len(RINGS)
+        bench.tick()
+        bench.scans = bench.early_scans = (self.make_scan(1),) * len(RINGS)
+        with (
+            mock.patch.object(
+                separation, "calc_link_row", wraps=separation.calc_link_row
+            ) as rows,
+            mock.patch.object(
+                dsi_filter,
+                "calc_safety_index",
+                wraps=dsi_filter.calc_safety_index,
+            ) as index,
+        ):
+            loop.take_scans(bench.scans)
+            self.assertEqual((rows.call_count, index.call_count), (3, 1))
+            result = bench.tick()
+            self.assertEqual((rows.call_count, index.call_count), (3, 1))
+        self.assertEqual(set(result.separation.sequence), {1})
 
     def test_nothing_new(self):
         scenario = load_scenario(text="{human: !NoHuman {}}")

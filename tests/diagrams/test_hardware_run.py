@@ -1,6 +1,8 @@
 """What surrounds the loop on a real robot."""
 
 import os
+import pathlib
+import tempfile
 import threading
 import unittest
 from unittest import mock
@@ -13,7 +15,9 @@ class Scheduler:
 
     def __init__(self, *, refuses=False, policy=os.SCHED_OTHER):
         self.refuses = refuses
-        self.policies = {t.native_id: policy for t in threading.enumerate()}
+        # Those of other tests may still come and go.
+        self.threads = threading.enumerate()
+        self.policies = {t.native_id: policy for t in self.threads}
         self.policies[0] = policy
         self.processors = {number: {0, 1, 3} for number in self.policies}
 
@@ -30,6 +34,9 @@ class Scheduler:
     def run(self):
         """Returns what is yielded, and policies and processors within."""
         with (
+            mock.patch.object(
+                threading, "enumerate", return_value=self.threads
+            ),
             mock.patch.object(os, "sched_getaffinity", self.processors.get),
             mock.patch.object(
                 os, "sched_setaffinity", self.processors.__setitem__
@@ -38,7 +45,7 @@ class Scheduler:
             mock.patch.object(os, "sched_setscheduler", self.set),
             mut.run_in_real_time() as granted,
         ):
-            threads = [t.native_id for t in threading.enumerate()]
+            threads = [t.native_id for t in self.threads]
             return (
                 granted,
                 {self.policies[t] for t in threads},
@@ -80,3 +87,48 @@ class TestRealTime(unittest.TestCase):
         scheduler = Scheduler(policy=os.SCHED_RR)
         self.assertEqual(scheduler.run(), (True, {os.SCHED_RR}, {(0, 1, 3)}))
         self.assertEqual(set(scheduler.policies.values()), {os.SCHED_RR})
+
+
+class TestKeepProcessorsAwake(unittest.TestCase):
+    def setUp(self):
+        folder = tempfile.TemporaryDirectory()
+        self.addCleanup(folder.cleanup)
+        self.path = pathlib.Path(folder.name) / "latency"
+        patch = mock.patch.object(mut, "_LATENCY", self.path)
+        patch.start()
+        self.addCleanup(patch.stop)
+
+    def list_open(self):
+        return [
+            name
+            for name in pathlib.Path("/proc/self/fd").iterdir()
+            if name.is_symlink() and name.readlink() == self.path
+        ]
+
+    def test_wish_holds_while_the_file_is_open(self):
+        self.path.write_bytes(b"\xff" * 4)
+        with mut.keep_processors_awake() as granted:
+            self.assertTrue(granted)
+            self.assertEqual(self.path.read_bytes(), bytes(4))
+            self.assertEqual(len(self.list_open()), 1)
+        self.assertEqual(self.list_open(), [])
+
+    def test_not_there(self):
+        with mut.keep_processors_awake() as granted:
+            self.assertFalse(granted)
+        # It is the system's to make.
+        self.assertFalse(self.path.exists())
+
+    def test_refused(self):
+        self.path.symlink_to("/dev/full")
+        with mut.keep_processors_awake() as granted:
+            self.assertFalse(granted)
+
+    def test_given_back_after_an_error(self):
+        self.path.write_bytes(b"")
+        with (
+            self.assertRaisesRegex(RuntimeError, "of the run"),
+            mut.keep_processors_awake(),
+        ):
+            raise RuntimeError("of the run")
+        self.assertEqual(self.list_open(), [])
