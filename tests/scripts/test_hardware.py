@@ -325,7 +325,7 @@ class TestHardware(unittest.TestCase):
             r"slider holding: program: paus",
             r"slider holding: safety mode: protective stop",
             r"robot: speed_slider_mask, speed_slider_fraction in use: a field",
-            r"slider recovering: slider at most 0\.50 for now: new session",
+            r"slider recovering: slider at most 0\.50 for now, after: new ",
             r"slider fault: slider does not obey: at ",
         ):
             with self.subTest(why=why):

@@ -313,7 +313,7 @@ def step_slider(
             confirmed=confirmed,
             operator=operator,
             recovering=f"slider at most {config.reduced_fraction:.2f} for "
-            f"now: {cause}"
+            f"now{': ' if problem else ', after: '}{cause}"
             if recovering
             else "",
         ),
