@@ -137,8 +137,9 @@ def run_in_real_time() -> Iterator[bool]:
     usual = os.SCHED_OTHER
     processors = os.sched_getaffinity(0)
     changed = []
-    try:
-        for thread in threading.enumerate():
+    for thread in threading.enumerate():
+        # It may not, or the thread has just ended.
+        with contextlib.suppress(OSError):
             if os.sched_getscheduler(thread.native_id) == usual:
                 os.sched_setscheduler(
                     thread.native_id,
@@ -147,9 +148,6 @@ def run_in_real_time() -> Iterator[bool]:
                 )
                 changed.append(thread.native_id)
                 os.sched_setaffinity(thread.native_id, {max(processors)})
-    except OSError:
-        # It may not, or a thread has just ended.
-        pass
     policy = os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK
     try:
         yield policy in (os.SCHED_FIFO, os.SCHED_RR)
@@ -157,7 +155,12 @@ def run_in_real_time() -> Iterator[bool]:
         for number in changed:
             with contextlib.suppress(OSError):
                 os.sched_setaffinity(number, processors)
-                os.sched_setscheduler(number, usual, os.sched_param(0))
+            # Whoever is not privileged can not take the flag back.
+            for flag in (os.SCHED_RESET_ON_FORK, 0):
+                with contextlib.suppress(OSError):
+                    os.sched_setscheduler(
+                        number, usual | flag, os.sched_param(0)
+                    )
 
 
 @contextlib.contextmanager
@@ -171,15 +174,16 @@ def keep_processors_awake() -> Iterator[bool]:
     Yields:
         Whether they stay awake.
     """
-    try:
-        wish = _LATENCY.open("r+b", buffering=0)
-        # A 32-bit number.
-        wish.write(bytes(4))
-    except OSError:
-        yield False
-        return
-    with wish:
-        yield True
+    with contextlib.ExitStack() as stack:
+        is_granted = False
+        try:
+            wish = stack.enter_context(_LATENCY.open("r+b", buffering=0))
+            # A 32-bit number.
+            wish.write(bytes(4))
+            is_granted = True
+        except OSError:
+            stack.close()
+        yield is_granted
 
 
 def wait_for_robot(

@@ -11,21 +11,44 @@ from tofssm_drake.diagrams import hardware_run as mut
 
 
 class Scheduler:
-    """Stands in for the system's; refuses if it is told to."""
+    """Stands in for the system's; refuses if it is told to.
 
-    def __init__(self, *, refuses=False, policy=os.SCHED_OTHER):
+    Args:
+        refuses: Whether nothing is permitted.
+        ended: Whether the thread that is looked at first has ended.
+        privileged: Whether SCHED_RESET_ON_FORK may be taken back.
+        policy: Of all threads, to begin with.
+    """
+
+    def __init__(
+        self,
+        *,
+        refuses=False,
+        ended=False,
+        privileged=True,
+        policy=os.SCHED_OTHER,
+    ):
         self.refuses = refuses
+        self.privileged = privileged
         # Those of other tests may still come and go.
         self.threads = threading.enumerate()
         self.policies = {t.native_id: policy for t in self.threads}
         self.policies[0] = policy
         self.processors = {number: {0, 1, 3} for number in self.policies}
+        # Not the main thread, which is the first.
+        self.threads.reverse()
+        self.ended = self.threads[0].native_id if ended else None
 
     def get(self, number):
+        if number == self.ended:
+            raise ProcessLookupError(3, "no such process")
         return self.policies[number]
 
     def set(self, number, policy, parameters):
         if self.refuses:
+            raise PermissionError(1, "not permitted")
+        flag = os.SCHED_RESET_ON_FORK
+        if self.policies[number] & ~policy & flag and not self.privileged:
             raise PermissionError(1, "not permitted")
         self.policies[number] = policy
         if number == threading.get_native_id():
@@ -79,6 +102,22 @@ class TestRealTime(unittest.TestCase):
             scheduler.run(), (False, {os.SCHED_OTHER}, {(0, 1, 3)})
         )
 
+    def test_given_back_without_privilege(self):
+        """As of a line in limits.conf: the flag can not be taken back."""
+        scheduler = Scheduler(privileged=False)
+        self.assertTrue(scheduler.run()[0])
+        flag = os.SCHED_RESET_ON_FORK
+        self.assertEqual(
+            {p & ~flag for p in scheduler.policies.values()}, {os.SCHED_OTHER}
+        )
+
+    def test_a_thread_that_has_ended_is_no_reason(self):
+        scheduler = Scheduler(ended=True)
+        granted, policies, _ = scheduler.run()
+        flag = os.SCHED_RESET_ON_FORK
+        self.assertTrue(granted)
+        self.assertEqual(policies, {os.SCHED_OTHER, os.SCHED_FIFO | flag})
+
     def test_idle_is_no_priority(self):
         scheduler = Scheduler(policy=os.SCHED_IDLE)
         self.assertEqual(scheduler.run()[:2], (False, {os.SCHED_IDLE}))
@@ -121,8 +160,12 @@ class TestKeepProcessorsAwake(unittest.TestCase):
 
     def test_refused(self):
         self.path.symlink_to("/dev/full")
-        with mut.keep_processors_awake() as granted:
+        with (
+            mock.patch.object(self, "path", pathlib.Path("/dev/full")),
+            mut.keep_processors_awake() as granted,
+        ):
             self.assertFalse(granted)
+            self.assertEqual(self.list_open(), [])
 
     def test_given_back_after_an_error(self):
         self.path.write_bytes(b"")
