@@ -254,6 +254,36 @@ class TestFault(unittest.TestCase):
         (state,) = run(robot, 0.8, cycles=1, state=state)
         self.assertEqual(state.phase, SliderPhase.FAULT)
 
+    def test_an_echo_that_can_not_be_is_a_fault_and_nobodys_hand(self):
+        config = mut.SliderConfig(operator_limit=0.3)
+        for echo in (5.0, math.inf, -0.5, -math.inf, math.nan):
+            with self.subTest(echo=echo):
+                robot = Robot()
+                states = run(robot, 1.0, cycles=200, config=config)
+                self.assertEqual(robot.slider, 0.3)
+                robot.slider = echo
+                states += run(
+                    robot, 1.0, cycles=300, state=states[-1], config=config
+                )
+                self.assertEqual(states[200].phase, SliderPhase.FAULT)
+                self.assertEqual(robot.slider, 0.3)
+                fractions = [s.command.speed_fraction for s in states]
+                self.assertEqual((min(fractions), max(fractions)), (0.0, 0.3))
+
+    def test_at_first_it_is_not_known_where_the_slider_stands(self):
+        """A person may have set it anywhere: up to 0, until one moves it."""
+        for echo in (math.nan, -0.5):
+            with self.subTest(echo=echo):
+                robot = Robot(slider=echo)
+                (state,) = run(robot, 1.0, cycles=1)
+                robot.slider = 0.3
+                state = run(robot, 1.0, cycles=200, state=state)[-1]
+                self.assertEqual(robot.slider, 0.0)
+                self.assertEqual(state.phase, SliderPhase.YIELDING)
+                robot.slider = 0.3
+                run(robot, 1.0, cycles=200, state=state)
+                self.assertEqual(robot.slider, 0.3)
+
 
 class TestLateComputer(unittest.TestCase):
     def test_only_every_twentieth_report_is_seen(self):
@@ -467,9 +497,7 @@ class TestRecovery(unittest.TestCase):
         state = settle(self.robot, 1.0)
         states = self.go(0.0, 50, state, "elbow is faulted")
         self.assertEqual(states[-1].phase, SliderPhase.RECOVERING)
-        self.assertTrue(
-            states[-1].reason.endswith("for now: elbow is faulted")
-        )
+        self.assertTrue(states[-1].reason.endswith("for now: elbow is faulted"))
         self.assertEqual(self.robot.slider, 0.0)
         states = self.go(1.0, 200, states[-1])
         # It is over.

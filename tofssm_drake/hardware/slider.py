@@ -227,6 +227,10 @@ def step_slider(
     """
     if report.sequence < 0 or report.sequence == state.command.sequence:
         return state
+    echo = report.target_speed_fraction
+    if not -config.tolerance <= echo <= 1.0 + config.tolerance:
+        # No slider stands there, and nobody's hand has put it there.
+        echo = math.nan
     if report.session != state.session or state.count == 0:
         # The new session knows nothing of what was written in the old one.
         state = SliderState(
@@ -234,11 +238,11 @@ def step_slider(
             count=state.count,
             ceiling=config.minimum_fraction,
             cause="new session with the robot",
-            operator_fraction=_carry_operator(config, state, report),
+            operator_fraction=_carry_operator(config, state, echo),
         )
     # Reports are counted, not time: a computer that was late has neither
     # written nor looked in the meantime.
-    now, echo = state.count + 1, report.target_speed_fraction
+    now = state.count + 1
     wanted = min(wanted, 1.0) if wanted > 0.0 else 0.0
     hold = find_hold(report)
     was_fault = state.phase == SliderPhase.FAULT
@@ -264,7 +268,7 @@ def step_slider(
     confirmed = state.confirmed or (obeys and _is_standing(config, report))
     operator = state.operator_fraction
     if moved and config.yield_to_operator and not was_fault:
-        operator = echo
+        operator = min(max(echo, 0.0), 1.0)
 
     ceiling, healthy = _calc_ceiling(
         config,
@@ -342,19 +346,21 @@ def step_slider(
     )
 
 
-def _carry_operator(config, state, report):
+def _carry_operator(config, state, echo):
     """Returns what a person allows as far as is known at a new session.
 
     No more than in the session before: nobody is asked to set the slider
     low a second time because a cable was loose.
     """
-    echo = report.target_speed_fraction
     if math.isnan(state.operator_fraction):
         if config.operator_limit is not None:
             return config.operator_limit
         # One that is rounded down from 1 is nobody's hand.
-        is_low = config.yield_to_operator and echo < 1.0 - config.tolerance
-        return max(echo, 0.0) if is_low else 1.0
+        is_low = config.yield_to_operator and not (
+            echo >= 1.0 - config.tolerance
+        )
+        # 0 if it is not known where it stands.
+        return max(0.0, echo) if is_low else 1.0
     written = (state.fraction, *(f for f, *_ in state.replaced))
     if (
         config.yield_to_operator
@@ -362,7 +368,7 @@ def _carry_operator(config, state, report):
         and echo < min(written) - config.tolerance
     ):
         # Lower than all that may have been written: a person, meanwhile.
-        return min(echo, state.operator_fraction)
+        return min(max(echo, 0.0), state.operator_fraction)
     return state.operator_fraction
 
 
