@@ -623,7 +623,9 @@ class TestWithSimulatedRobot(unittest.TestCase):
                     self.assertTrue(
                         dut.send(
                             SliderCommand(
-                                sequence=0, mask=1, speed_fraction=0.5
+                                sequence=dut.get_report().sequence,
+                                mask=1,
+                                speed_fraction=0.5,
                             )
                         )
                     )
@@ -635,6 +637,30 @@ class TestWithSimulatedRobot(unittest.TestCase):
                         )
                     )
                     self.assertEqual(threading.active_count(), threads)
+
+    def test_what_answers_a_report_of_before_is_not_sent(self):
+        """Else a tick that took long would move a robot that began anew."""
+        robot = make_robot()
+        with serve(robot) as server, connect(server) as dut:
+            old = dut.wait_for_report(after=-1, timeout=5)
+            server.drop_clients()
+            self.assertTrue(
+                wait_until(lambda: dut.get_report().session > old.session)
+            )
+            for report, was_sent in ((old, False), (dut.get_report(), True)):
+                command = SliderCommand(sequence=report.sequence)
+                self.assertEqual(dut.send(command), was_sent)
+
+    def test_closing_waits_for_a_robot_that_was_just_lost(self):
+        robot = make_robot()
+        with serve(robot) as server:
+            with connect(server, retry_first=0.05, retry_last=0.05) as dut:
+                dut.wait_for_report(after=-1, timeout=5)
+                server.drop_clients()
+                self.assertTrue(
+                    wait_until(lambda: not dut.get_status().connected)
+                )
+            self.assertTrue(wait_until(lambda: robot.slider == 0.0, 1.0))
 
     def test_closing_leaves_the_robot_stopped(self):
         robot = make_robot()

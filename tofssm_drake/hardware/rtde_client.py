@@ -37,6 +37,8 @@ from tofssm_drake.messages import RobotReport, SliderCommand
 _SEND_BUFFER = 4096
 # How long closing may take in all of its parts, s.
 _FAREWELL = 0.2
+# How long it waits for a robot that was just lost, to stop it, s.
+_RETURN = 0.5
 
 
 @dc.dataclass(kw_only=True)
@@ -153,8 +155,9 @@ class RtdeClient:
         self._packages = 0
         self._closed = threading.Event()
         self._send_lock = threading.Lock()
-        # Socket and input recipe, while writing is possible.
-        self._writer: tuple[socket.socket, rtde.Recipe] | None = None
+        # Socket, input recipe and the connection's first report, while
+        # writing is possible.
+        self._writer: tuple[socket.socket, rtde.Recipe, int] | None = None
         self._heartbeat = 0
         self._thread = threading.Thread(
             target=self._run, name="rtde_reader", daemon=True
@@ -195,7 +198,8 @@ class RtdeClient:
         Returns:
             Whether the package was handed to the system. That says nothing
             about the robot: the slider's echo does. False without a
-            connection, without `write`, or if the command answers no report.
+            connection, without `write`, or if the command answers no report
+            or one from before the connection: the robot may have started anew.
         """
         if command.sequence < 0:
             return False
@@ -204,7 +208,9 @@ class RtdeClient:
         with self._send_lock:
             if self._writer is None:
                 return False
-            connection, recipe = self._writer
+            connection, recipe, first = self._writer
+            if command.sequence < first:
+                return False
             package = recipe.encode(
                 (command.mask, command.speed_fraction, command.heartbeat)
             )
@@ -240,10 +246,15 @@ class RtdeClient:
 
     def _leave_stopped(self):
         """Sets the slider to 0 and waits a little until that is seen."""
-        deadline = time.monotonic() + _FAREWELL
-        while self._writer is not None and time.monotonic() < deadline:
+        wait = _RETURN if self._writer is None else _FAREWELL
+        deadline = time.monotonic() + wait
+        while (
+            self._status.writes
+            and not self._closed.is_set()
+            and time.monotonic() < deadline
+        ):
             report = self._report
-            self.send(
+            was_sent = self.send(
                 SliderCommand(
                     sequence=report.sequence, mask=1, heartbeat=self._heartbeat
                 )
@@ -251,7 +262,7 @@ class RtdeClient:
             report = self.wait_for_report(
                 after=report.sequence, timeout=_FAREWELL / 4
             )
-            if report.target_speed_fraction < 0.005:
+            if was_sent and report.target_speed_fraction < 0.005:
                 return
 
     # What follows runs in the thread.
@@ -565,7 +576,8 @@ class _Link:
         client = self._client
         if self._inputs is not None:
             with client._send_lock:
-                client._writer = (self._writer, self._inputs)
+                first = client._report.sequence + 1
+                client._writer = (self._writer, self._inputs, first)
         client._update(
             connected=True,
             problem="",
