@@ -342,7 +342,7 @@ def _run(run, robot, link, stopped, duration, dry_run):
     begin = time.monotonic()
     status = HardwareStatus(robot=robot, link=link, dry_run=dry_run)
     try:
-        with status:
+        with status, _ending(status, robot):
             while True:
                 result = run.step() or result
                 status.show(result)
@@ -371,6 +371,16 @@ def _run(run, robot, link, stopped, duration, dry_run):
     end.result = result
     end.wall_time = time.monotonic() - begin
     return end
+
+
+@contextlib.contextmanager
+def _ending(status, robot):
+    """Closes the robot at the end, before anything waits for a terminal."""
+    try:
+        yield
+    finally:
+        status.end()
+        robot.close()
 
 
 def describe_robot(status: RtdeStatus, control_period: float) -> str:

@@ -68,8 +68,12 @@ class HardwareStatus:
         return self
 
     def __exit__(self, *exception) -> None:
-        self._done.set()
+        self.end()
         self._thread.join(_FAREWELL)
+
+    def end(self) -> None:
+        """Lets the thread end; what becomes of the links is told no more."""
+        self._done.set()
 
     def show(self, result: TickResult | None) -> None:
         """Takes what is new; returns at once."""
@@ -91,10 +95,12 @@ class HardwareStatus:
                 self._stream.flush()
 
     def _write(self):
-        self._find_problem("robot", self._robot.get_status().problem)
+        problem = self._robot.get_status().problem
         rings = None if self._link is None else self._link.get_status()
-        if rings is not None:
-            self._find_problem("rings", rings.error)
+        if not self._done.is_set():
+            self._find_problem("robot", problem)
+            if rings is not None:
+                self._find_problem("rings", rings.error)
         is_terminal = self._stream.isatty()
         text = ""
         while self._lines:

@@ -33,15 +33,16 @@ from tofssm_drake.messages import RobotReport
 from tofssm_drake.robot.kinematics import RingKinematics
 from tofssm_drake.robot.program import make_program_path
 from tofssm_drake.robot.twin import make_cell_plant
+import tofssm_drake.scripts.hardware_status as hardware_status
 from tofssm_drake.scripts.main import run
 from tofssm_drake.ssm import tri_ssm
 
 _NOBODY = "{program: {products: 2}, human: !NoHuman {}}"
 
 
-def run_hardware(server, *options, text=_NOBODY, rings="virtual"):
+def run_hardware(server, *options, text=_NOBODY, rings="virtual", err=None):
     """Returns exit code, stdout and stderr."""
-    out, err = io.StringIO(), io.StringIO()
+    out, err = io.StringIO(), err or io.StringIO()
     with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
         code = run(
             [
@@ -218,6 +219,44 @@ class TestHardware(unittest.TestCase):
                     out,
                 )
                 self.assertNotIn("Traceback", out + err)
+
+    def test_a_terminal_that_is_held_does_not_keep_the_robot_moving(self):
+        robot = make_robot()
+        waited = []
+
+        class Terminal(io.StringIO):
+            """Is held from some time on, until the robot's slider is at 0."""
+
+            is_held = False
+
+            def isatty(self):
+                return True
+
+            def write(self, text):
+                if self.is_held and not waited:
+                    waited.append(True)
+                    deadline = time.monotonic() + 5.0
+                    while robot.slider > 0.0 and time.monotonic() < deadline:
+                        time.sleep(0.01)
+                    waited.append(robot.slider)
+                return super().write(text)
+
+        terminal = Terminal()
+
+        def hold():
+            terminal.is_held = True
+            while not waited:
+                time.sleep(0.01)
+            self.assertGreater(robot.slider, 0.0)
+            raise RuntimeError("broken")
+
+        with (
+            serve(robot) as server,
+            mock.patch.object(hardware_status, "_FAREWELL", 10.0),
+            at_ticks({300: hold}),
+        ):
+            code, out, _ = run_hardware(server, err=terminal)
+        self.assertEqual((code, waited), (1, [True, 0.0]), out)
 
     def test_a_stream_that_stalls_begins_anew_from_zero(self):
         path = self.folder / "run.mcap"
