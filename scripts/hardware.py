@@ -232,7 +232,7 @@ def hardware(
             # a robot was stopped for it, nor may it wait for a compiler.
             HardwareLoop(scenario=scenario, virtual_rings=is_virtual)
         if out is not None:
-            make_folder(out)
+            stack.enter_context(_made_folder(out))
         recorder = None
         if record is not None:
             recorder = stack.enter_context(RunRecorder(record))
@@ -269,10 +269,6 @@ def hardware(
             frequency=status.frequency,
             control_period=control_period,
         )
-        if recorder is not None:
-            recorder.add_run(
-                {"scenario": dump_scenario(scenario), **run_options}
-            )
         display = make_display() if meshcat else None
         if display is not None:
             print(f"watch at {display.web_url()}", flush=True)
@@ -304,6 +300,10 @@ def hardware(
             loop.workcell.station.plant,
             max_deviation=math.inf if any_pose else 0.5,
         )
+        if recorder is not None:
+            recorder.add_run(
+                {"scenario": dump_scenario(scenario), **run_options}
+            )
         _console.print(describe_robot(status, scenario.control_period))
         if not is_real_time:
             _console.print(_NO_PRIORITY)
@@ -395,6 +395,21 @@ def describe_robot(status: RtdeStatus, control_period: float) -> str:
         f"robot: software {version}, {status.frequency:g} Hz; control tick "
         f"{1e3 * control_period:g} ms"
     )
+
+
+@contextlib.contextmanager
+def _made_folder(folder):
+    """Makes a folder, and takes it away if that was in vain."""
+    is_new = not folder.exists()
+    make_folder(folder)
+    try:
+        yield
+    except BaseException:
+        if is_new:
+            # What is not empty stays.
+            with contextlib.suppress(OSError):
+                folder.rmdir()
+        raise
 
 
 @contextlib.contextmanager

@@ -182,6 +182,28 @@ class TestRunRecord(unittest.TestCase):
             },
         )
 
+    def test_a_run_that_never_begins_leaves_what_was_there(self):
+        with mut.RunRecorder(self.path) as recorder:
+            recorder.add_robot_bytes(0.0, False, b"in vain")
+        self.assertFalse(self.path.exists())
+        self.path.write_bytes(b"of an earlier run")
+        with mut.RunRecorder(self.path) as recorder:
+            recorder.add_robot_bytes(0.0, False, b"in vain")
+        self.assertEqual(self.path.read_bytes(), b"of an earlier run")
+
+    def test_what_came_before_the_run_is_written_with_it(self):
+        self.path.write_bytes(b"of an earlier run")
+        with mut.RunRecorder(self.path) as recorder:
+            recorder.add_robot_bytes(0.0, False, b"hello")
+            time.sleep(0.5)
+            self.assertEqual(self.path.read_bytes(), b"of an earlier run")
+            recorder.add_run({})
+            recorder.add_robot_bytes(0.0, False, b"once more")
+        self.assertEqual(
+            [m.data for _, m in self.read_messages("/robot/received")],
+            [b"hello", b"once more"],
+        )
+
     def test_a_full_disk_is_told_by_the_next_tick(self):
         with self.assertRaisesRegex(UserError, "--record: /dev/full: can not"):
             mut.RunRecorder(Path("/dev/full"), {})

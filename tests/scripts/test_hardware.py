@@ -511,6 +511,19 @@ class TestHardware(unittest.TestCase):
                     self.assertFalse(path.exists())
                     self.assertEqual(robot.slider, 1.0)
 
+    def test_a_run_that_never_begins_spares_the_record_before(self):
+        robot = make_robot()
+        robot.set_safety_mode(SafetyMode.PROTECTIVE_STOP)
+        path, out = self.folder / "run.mcap", self.folder / "out"
+        path.write_bytes(b"of an earlier run")
+        with serve(robot) as server:
+            code, _, err = run_hardware(
+                server, "--record", path, "--out", out, text=_NOBODY
+            )
+        self.assertEqual(code, 2, err)
+        self.assertEqual(path.read_bytes(), b"of an earlier run")
+        self.assertFalse(out.exists())
+
     def test_a_refusal_says_where_it_leaves_the_slider(self):
         for options, message in (
             ((), "must be normal or reduced; slider set to 0\n"),

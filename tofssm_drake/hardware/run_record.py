@@ -22,6 +22,7 @@ import math
 import os
 import pathlib
 import re
+import stat
 import struct
 import threading
 import time
@@ -175,11 +176,14 @@ def make_monitor_message(tick: RecordedTick) -> dict:
 class RunRecorder:
     """Writes a record; a context manager, and safe to use from threads.
 
+    What was added before `add_run` is written then: a run that never begins
+    leaves a file as it was, or none.
+
     A disk that is full or gone is told by the next `add_tick`: whoever hands
     in bytes has other things to do.
 
     Args:
-        path: The file; what is there is replaced.
+        path: The file; what is there is replaced when the run begins.
         run: Plain values to make the same monitor of again; None: they are
             not known yet, and `add_run` follows.
 
@@ -190,9 +194,11 @@ class RunRecorder:
     def __init__(self, path: pathlib.Path, run: dict | None = None):
         self._path = path
         self._error: OSError | None = None
+        self._begun = False
+        self._is_new = not path.exists()
         try:
             # Unbuffered: the buffer is here.
-            self._file = path.open("wb", buffering=0)
+            self._file = path.open("ab", buffering=0)
         except OSError as error:
             self._error = error
             self._raise_error()
@@ -222,11 +228,11 @@ class RunRecorder:
         self._scans: tuple[RingScan, ...] = ()
         self._epoch = time.time() - time.monotonic()
         if run is not None:
-            self.add_run(run)
-        self._flush()
-        if self._error is not None:
-            self._file.close()
-            self._raise_error()
+            try:
+                self.add_run(run)
+            except UserError:
+                self._file.close()
+                raise
         self._thread = threading.Thread(
             target=self._keep_flushing, name="run record", daemon=True
         )
@@ -239,9 +245,22 @@ class RunRecorder:
         self.close()
 
     def add_run(self, run: dict) -> None:
-        """Writes what the monitor is made of; once, before the first tick."""
+        """Writes what the monitor is made of; once, before the first tick.
+
+        Raises:
+            UserError: The file can not be written.
+        """
         message = {"version": _VERSION, "epoch": self._epoch, **run}
         self._add(_RUN, encode_json(message), time.monotonic())
+        try:
+            # A pipe holds nothing that could be in the way.
+            if stat.S_ISREG(os.fstat(self._file.fileno()).st_mode):
+                self._file.truncate(0)
+        except OSError as error:
+            self._error = error
+        self._begun = True
+        self._flush()
+        self._raise_error()
 
     def add_tick(self, tick: RecordedTick) -> None:
         """Writes a tick; of the scans only those that are new.
@@ -283,6 +302,8 @@ class RunRecorder:
             self._writer.finish()
         self._flush()
         self._file.close()
+        if self._is_new and not self._begun:
+            self._path.unlink(missing_ok=True)
 
     def _list_new(self, scans):
         """Returns the scans that were not written yet, as plain values."""
@@ -326,7 +347,9 @@ class RunRecorder:
             self._flush()
 
     def _flush(self):
-        """Writes what has been added to the file."""
+        """Writes what has been added to the file, once the run has begun."""
+        if not self._begun:
+            return
         with self._lock:
             self._format()
             data = memoryview(self._stream.take())
