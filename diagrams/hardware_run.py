@@ -7,6 +7,7 @@ Whatever ends it, the connection is closed, which puts the slider to 0.
 
 from collections.abc import Callable, Iterator
 import contextlib
+import dataclasses as dc
 import gc
 import math
 import os
@@ -29,7 +30,7 @@ from tofssm_drake.hardware.robot_clock import RobotClock
 from tofssm_drake.hardware.robot_connection import RobotConnection
 from tofssm_drake.hardware.rtde_fields import SafetyMode, name_of
 from tofssm_drake.hardware.run_record import RecordedTick, RunRecorder
-from tofssm_drake.messages import RobotReport
+from tofssm_drake.messages import RobotReport, SliderCommand
 from tofssm_drake.robot.kinematics import RingKinematics
 from tofssm_drake.robot.program import make_program_path
 
@@ -44,6 +45,12 @@ _LONGEST_SILENCE = 10.0
 # Reports that come so much later than the fastest ones end the run, s.
 _LATEST = 0.25
 _PATH_STEP = 0.05
+# A joint that is that many times as fast as it can be is a fault, and so is
+# one that is that far from where it may have gone, rad (assumed).
+_TOO_FAST = 3.0
+_JUMP = 0.5
+# So near to where it was put the slider is there.
+_AT_LOWEST = 0.005
 # How long a thread may compute while another one waits, s.
 _SWITCH_INTERVAL = 0.0005
 # Above all that is not real-time, and below the system's own threads (50).
@@ -100,6 +107,78 @@ def require_ready(
         f"robot: joint {j + 1} is at {q[j]:.3f} rad, {nearest[j]:.2f} from "
         f"where the scenario's program ever is, more than {max_deviation:g}",
     )
+
+
+@dc.dataclass(frozen=True, kw_only=True)
+class JointLimits:
+    """What no robot of this kind does; each for six joints."""
+
+    low: tuple[float, ...]
+    """Least position, rad."""
+    high: tuple[float, ...]
+    """Greatest position, rad."""
+    speed: tuple[float, ...]
+    """Greatest speed, rad/s."""
+
+    @classmethod
+    def from_plant(cls, plant) -> "JointLimits":
+        """Returns the limits of the cell's arm."""
+        return cls(
+            low=tuple(plant.GetPositionLowerLimits()[:6].tolist()),
+            high=tuple(plant.GetPositionUpperLimits()[:6].tolist()),
+            speed=tuple(plant.GetVelocityUpperLimits()[:6].tolist()),
+        )
+
+
+def require_plausible(
+    report: RobotReport, before: RobotReport, limits: JointLimits
+) -> None:
+    """Raises UserError if no such robot could have moved like that.
+
+    Args:
+        report: The robot's newest.
+        before: The one that was answered before it.
+        limits: Of the arm.
+    """
+    elapsed = report.timestamp - before.timestamp
+    if report.session != before.session:
+        elapsed = math.inf
+    q_before = before.position.tolist()
+    v = report.velocity.tolist()
+    for j, q in enumerate(report.position.tolist()):
+        low, high, speed = limits.low[j], limits.high[j], limits.speed[j]
+        require(
+            low <= q <= high,
+            f"robot: joint {j + 1} is at {q:.3f} rad, the model's limits are "
+            f"{low:.3f} and {high:.3f}",
+        )
+        require(
+            abs(v[j]) <= _TOO_FAST * speed,
+            f"robot: joint {j + 1} turns at {v[j]:.3g} rad/s, the model's "
+            f"limit is {speed:.3g}",
+        )
+        require(
+            not abs(q - q_before[j]) > _JUMP + speed * elapsed,
+            f"robot: joint {j + 1} went from {q_before[j]:.3f} to {q:.3f} rad "
+            f"in {elapsed:.3f} s",
+        )
+
+
+def hold_robot(robot: RobotConnection, fraction: float) -> None:
+    """Puts the slider to the lowest until there is a monitor; no heartbeat.
+
+    Args:
+        robot: The robot, if it has reported.
+        fraction: Where the slider shall be.
+    """
+    report = robot.get_report()
+    # An echo that is no number is none that is low enough.
+    if not report.target_speed_fraction <= fraction + _AT_LOWEST:
+        robot.send(
+            SliderCommand(
+                sequence=report.sequence, mask=1, speed_fraction=fraction
+            )
+        )
 
 
 @contextlib.contextmanager
@@ -271,6 +350,8 @@ class HardwareRun:
         rings: Where scans come from; None: they are virtual.
         period: Control tick, s.
         record: What everything is written to; None: nothing is.
+        limits: What no report may exceed; None: anything may be.
+        lowest: Where the slider is put while robot and rings are waited for.
         clock: Shows the host's time, s.
     """
 
@@ -282,12 +363,17 @@ class HardwareRun:
         rings: RingConnection | None,
         period: float,
         record: RunRecorder | None = None,
+        limits: JointLimits | None = None,
+        lowest: float = 0.0,
         clock: Callable[[], float] = time.monotonic,
     ):
         self._loop = loop
         self._robot = robot
         self._rings = rings
         self._record = record
+        self._limits = limits
+        self._lowest = lowest
+        self._report = RobotReport()
         self._robot_clock = RobotClock(period=period)
         self._clock = clock
         self._sequence = -1
@@ -304,7 +390,7 @@ class HardwareRun:
         tell: Callable[[str], None],
         is_stopped: Callable[[], bool],
     ) -> RobotReport | None:
-        """Waits until robot and rings are there.
+        """Waits until robot and rings are there; holds the robot meanwhile.
 
         Args:
             timeout: Longest wait for each, s.
@@ -321,8 +407,9 @@ class HardwareRun:
             self._robot, timeout=timeout, tell=tell, is_stopped=is_stopped
         ):
             return None
+        hold_robot(self._robot, self._lowest)
         if self._rings is not None and not _wait(
-            lambda: self._rings.wait_for_scans(_WAIT),
+            self._have_rings_come,
             lambda: explain_silence(self._rings.get_status()),
             timeout,
             tell,
@@ -339,7 +426,8 @@ class HardwareRun:
             What the monitor says; None: there is no new report yet.
 
         Raises:
-            UserError: The robot is silent for too long, or far too late.
+            UserError: The robot is silent for too long, or far too late, or
+                what it reports can not be.
         """
         report = self._wait_for_report()
         if report.sequence <= self._sequence:
@@ -355,6 +443,9 @@ class HardwareRun:
         self._heard = report.time
         self._cycle = report.timestamp - self._timestamp
         self._timestamp = report.timestamp
+        if self._limits is not None:
+            require_plausible(report, self._report, self._limits)
+        self._report = report
         tick_time = self._robot_clock.update(report)
         lateness = self._robot_clock.lateness
         require(
@@ -374,6 +465,11 @@ class HardwareRun:
         if self._record is not None:
             self._record.add_tick(make_recorded_tick(given, result))
         return result
+
+    def _have_rings_come(self):
+        # Somebody may have moved the slider, or the robot has started anew.
+        hold_robot(self._robot, self._lowest)
+        return self._rings.wait_for_scans(_WAIT)
 
     def _get_scans(self):
         return () if self._rings is None else self._rings.get_scans()

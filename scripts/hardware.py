@@ -15,6 +15,8 @@ import typer
 from tofssm_drake.diagrams.hardware_loop import HardwareLoop, TickResult
 from tofssm_drake.diagrams.hardware_run import (
     HardwareRun,
+    JointLimits,
+    hold_robot,
     keep_interpreter_quiet,
     keep_processors_awake,
     require_control_period,
@@ -40,7 +42,7 @@ from tofssm_drake.hardware.ring_receiver import RingDecoder, RingLinkConfig
 from tofssm_drake.hardware.robot_connection import RtdeStatus
 from tofssm_drake.hardware.rtde_client import RtdeClient
 from tofssm_drake.hardware.run_record import RunRecorder
-from tofssm_drake.hardware.slider import SliderConfig
+from tofssm_drake.hardware.slider import SliderConfig, find_operator_limit
 from tofssm_drake.scripts.hardware_status import HardwareStatus
 import tofssm_drake.scripts.options as options
 from tofssm_drake.scripts.simulate import (
@@ -222,8 +224,6 @@ def hardware(
         "dry_run": dry_run,
         "command": shlex.join(["tofssm", *sys.argv[1:]]),
     }
-    if slider_limit is not None:
-        run_options["slider_limit"] = slider_limit
     with contextlib.ExitStack() as stack:
         # Nothing may end the process before 0 has been sent.
         stopped = stack.enter_context(catch_stop(until_end=True))
@@ -263,6 +263,13 @@ def hardware(
         }
         if not wait_for_robot(robot, **waiting):
             raise KeyboardInterrupt(_TOO_EARLY)
+        # What a person allows is to be seen before 0 is written.
+        slider.operator_limit = find_operator_limit(
+            slider, robot.get_report().target_speed_fraction
+        )
+        if slider.operator_limit is not None:
+            run_options["slider_limit"] = slider.operator_limit
+        hold_robot(robot, slider.minimum_fraction)
         status = robot.get_status()
         set_control_period(
             scenario,
@@ -290,6 +297,8 @@ def hardware(
             rings=link,
             period=scenario.control_period,
             record=recorder,
+            limits=JointLimits.from_plant(loop.workcell.station.plant),
+            lowest=slider.minimum_fraction,
         )
         first = run.wait(**waiting)
         if first is None:

@@ -7,7 +7,13 @@ import threading
 import unittest
 from unittest import mock
 
+import numpy as np
+
 from tofssm_drake.diagrams import hardware_run as mut
+from tofssm_drake.errors import UserError
+from tofssm_drake.hardware.robot_connection import LoopbackConnection
+from tofssm_drake.messages import RobotReport
+from tofssm_drake.robot.twin import make_cell_plant
 
 
 class Scheduler:
@@ -175,3 +181,78 @@ class TestKeepProcessorsAwake(unittest.TestCase):
         ):
             raise RuntimeError("of the run")
         self.assertEqual(self.list_open(), [])
+
+
+def make_report(**changes):
+    fields = {
+        "sequence": 1,
+        "session": 0,
+        "timestamp": 100.0,
+        "position": np.zeros(6),
+        "velocity": np.zeros(6),
+    }
+    return RobotReport(**(fields | changes))
+
+
+class TestPlausible(unittest.TestCase):
+    @classmethod
+    def setUpClass(cls):
+        cls.limits = mut.JointLimits.from_plant(make_cell_plant())
+
+    def check(self, message, before=None, **changes):
+        before = make_report() if before is None else before
+        report = make_report(timestamp=100.008, **changes)
+        if not message:
+            mut.require_plausible(report, before, self.limits)
+            return
+        with self.assertRaisesRegex(UserError, message):
+            mut.require_plausible(report, before, self.limits)
+
+    def test_positions(self):
+        for q, message in (
+            (50.0, "joint 3 is at 50.000 rad, the model's limits are -6.28"),
+            (-1e300, "joint 3 is at -1"),
+            (0.6, "joint 3 went from 0.000 to 0.600 rad in 0.008 s"),
+            (-0.6, "joint 3 went from 0.000 to -0.600"),
+            (0.4, ""),
+        ):
+            with self.subTest(q=q):
+                self.check(message, position=np.array([0, 0, q, 0, 0, 0]))
+
+    def test_speeds(self):
+        for v, message in (
+            (1e6, r"joint 2 turns at 1e\+06 rad/s, the model's limit is 2.09"),
+            (-7.0, "joint 2 turns at -7 rad/s"),
+            (6.0, ""),
+        ):
+            with self.subTest(v=v):
+                self.check(message, velocity=np.array([0, v, 0, 0, 0, 0]))
+
+    def test_what_was_before(self):
+        q = np.full(6, 3.0)
+        self.check("joint 1 went", position=q)
+        # Nothing is known of where it was.
+        self.check("", position=q, before=RobotReport())
+        self.check("", position=q, before=make_report(session=1))
+        # There was time enough.
+        self.check("", position=q, before=make_report(timestamp=98.0))
+
+
+class TestHoldRobot(unittest.TestCase):
+    def test_only_what_is_too_high(self):
+        for echo, lowest, sent in (
+            (1.0, 0.0, [(1, 0.0)]),
+            (0.0, 0.0, []),
+            (np.nan, 0.0, [(1, 0.0)]),
+            (0.5, 0.01, [(1, 0.01)]),
+            (0.01, 0.01, []),
+        ):
+            with self.subTest(echo=echo, lowest=lowest):
+                robot = LoopbackConnection()
+                robot.put(make_report(target_speed_fraction=echo))
+                mut.hold_robot(robot, lowest)
+                self.assertEqual(
+                    [(c.mask, c.speed_fraction) for c in robot.sent], sent
+                )
+                # Nobody shall take it for a monitor.
+                self.assertEqual({c.heartbeat for c in robot.sent} - {0}, set())

@@ -152,6 +152,21 @@ class TestStream(unittest.TestCase):
             self.assertEqual(dut.get_report().session, 2)
             self.assertEqual(dut.get_report().missed, 0)
 
+    def test_robots_clock_gaining_on_the_hosts_is_a_new_session(self):
+        """Though each step is one that a robot can make."""
+
+        class Server(OddServer):
+            def stream(self):
+                for t in (100.0, 100.2, 100.5, 101.4):
+                    self.send(self.make_package(t))
+                time.sleep(0.3)
+                # As much went by here.
+                self.send(self.make_package(101.7))
+
+        with Server() as server, connect(server, stream_timeout=5) as dut:
+            self.assertTrue(wait_until(lambda: dut.get_report().sequence == 4))
+            self.assertEqual(dut.get_report().session, 2)
+
     def test_bad_packages_are_counted_and_dropped(self):
         class Server(OddServer):
             def stream(self):

@@ -370,6 +370,11 @@ class TestHold(unittest.TestCase):
             ({"runtime_state": 4}, "program: paused"),
             ({"runtime_state": 1}, "program: stopped"),
             ({"runtime_state": -1}, "program: unknown (-1)"),
+            # Contradicts the modes; those who tell nothing say 0.
+            ({"safety_status_bits": 5}, "safety status bits: 0x5"),
+            ({"safety_status_bits": 1 << 10}, "safety status bits: 0x400"),
+            ({"safety_status_bits": 3}, ""),
+            ({"safety_status_bits": 0}, ""),
             ({"safety_mode": 2}, ""),
             ({"safety_status": 1}, ""),
         ):
@@ -656,6 +661,20 @@ class TestLimit(unittest.TestCase):
                 config = mut.SliderConfig(operator_limit=limit)
                 run(robot, 1.0, cycles=400, config=config)
                 self.assertEqual(robot.slider, limit)
+
+    def test_limit_by_where_it_stands(self):
+        for echo, limit in (
+            (0.3, 0.3),
+            (1.0, 1.0),
+            (0.995, 1.0),
+            (0.0, None),
+            (math.nan, None),
+            (5.0, None),
+            (-0.3, None),
+        ):
+            with self.subTest(echo=echo):
+                dut = mut.find_operator_limit(mut.SliderConfig(), echo)
+                self.assertEqual(dut, limit)
 
     def test_a_person_is_not_minded_if_so_asked(self):
         robot = Robot(slider=0.1)

@@ -25,6 +25,7 @@ from tofssm_drake.diagrams.hardware_run import require_ready
 from tofssm_drake.diagrams.scenario import load_scenario
 from tofssm_drake.errors import UserError
 from tofssm_drake.hardware import rtde_systems
+from tofssm_drake.hardware.ring_link import RingLink
 from tofssm_drake.hardware.rtde_client import RtdeClient
 from tofssm_drake.hardware.rtde_fields import SafetyMode
 from tofssm_drake.hardware.rtde_protocol import PackageType
@@ -553,6 +554,29 @@ class TestHardware(unittest.TestCase):
             ]
             self.assertEqual(max(fractions), highest)
             self.assertEqual(run_replay(path)[0], 0)
+
+    def test_robot_is_held_while_rings_are_waited_for(self):
+        robot = make_robot()
+        seen = []
+
+        def wait(link, timeout):
+            time.sleep(timeout)
+            seen.append(robot.slider)
+            if len(seen) == 3:
+                # Somebody raises it once more.
+                robot.slider = 0.8
+            return False
+
+        with (
+            serve(robot) as server,
+            mock.patch.object(RingLink, "wait_for_scans", wait),
+        ):
+            code, _, err = run_hardware(
+                server, "--wait", 1, rings="udp://127.0.0.1:47812"
+            )
+        self.assertEqual(code, 2, err)
+        # Before it, the twin was made.
+        self.assertEqual({seen[0], seen[-1]}, {0.0}, seen)
 
     def test_says_what_it_waits_for(self):
         with serve() as server:

@@ -73,7 +73,7 @@ class RtdeConfig:
     stream_timeout: float = 0.1
 
     # If the robot's clock goes back, or forth by more than that, s, a new
-    # session begins.
+    # session begins; also if it gains 0.25 s on the host's at once.
     clock_jump: float = 1.0
 
     # Pause before the next try, s: doubles from the first to the last.

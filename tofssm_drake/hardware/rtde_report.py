@@ -29,6 +29,9 @@ _SCALARS = {
     "speed_scaling": "speed_scaling",
     "target_speed_fraction": "target_speed_fraction",
 }
+# What the robot's clock may gain on the host's from one package to the next,
+# s: as late as a package may be.
+_LEAP = 0.25
 REQUIRED = {
     "timestamp",
     "actual_q",
@@ -131,6 +134,8 @@ class ReportMaker:
             session += 1
         elif step > 0:
             missed += max(round(step / self._period) - 1, 0)
+            if step - (time - before.time) > _LEAP:
+                session += 1
         return RobotReport.of_read_only(
             sequence=before.sequence + 1,
             session=session,

@@ -15,6 +15,7 @@ from tofssm_drake.hardware.rtde_fields import (
     RobotMode,
     RuntimeState,
     SafetyMode,
+    SafetyStatusBit,
     name_of,
 )
 from tofssm_drake.messages import RobotReport, SliderCommand
@@ -29,6 +30,8 @@ _STANDING = 0.01
 _FASTEST = 3.2
 # An echo that is not above it is 0.
 _ZERO = 0.005
+# Safety status bits with which a robot may move.
+_MOVING = SafetyStatusBit.NORMAL | SafetyStatusBit.REDUCED
 # A protective stop that soon after the slider left 0 came of that, s.
 _OFFENCE = 1.0
 
@@ -190,6 +193,10 @@ def find_hold(report: RobotReport) -> str:
         # Older software has no safety status: -1.
         if mode not in (SafetyMode.NORMAL, SafetyMode.REDUCED, -1):
             return f"safety mode: {name_of(SafetyMode, mode)}"
+    # What contradicts the mode counts as well; 0 is of those that say nothing.
+    bits = report.safety_status_bits
+    if bits > 0 and bits & ~_MOVING:
+        return f"safety status bits: {bits:#x}"
     if report.safety_mode == -1:
         return "safety mode: unknown"
     if report.runtime_state != RuntimeState.PLAYING:
@@ -346,6 +353,26 @@ def step_slider(
     )
 
 
+def find_operator_limit(config: SliderConfig, echo: float) -> float | None:
+    """Returns up to where the slider may go, by where it stands at first.
+
+    Args:
+        config: Settings; with `operator_limit` it is that.
+        echo: Where the slider stands before anything was written.
+
+    Returns:
+        For `operator_limit`; None: it stands at 0, or nobody knows where.
+    """
+    if config.operator_limit is not None:
+        return config.operator_limit
+    if not config.yield_to_operator:
+        return 1.0
+    if not 0.0 < echo <= 1.0 + config.tolerance:
+        return None
+    # One that is rounded down from 1 is nobody's hand.
+    return echo if echo < 1.0 - config.tolerance else 1.0
+
+
 def _carry_operator(config, state, echo):
     """Returns what a person allows as far as is known at a new session.
 
@@ -353,14 +380,7 @@ def _carry_operator(config, state, echo):
     low a second time because a cable was loose.
     """
     if math.isnan(state.operator_fraction):
-        if config.operator_limit is not None:
-            return config.operator_limit
-        # One that is rounded down from 1 is nobody's hand.
-        is_low = config.yield_to_operator and not (
-            echo >= 1.0 - config.tolerance
-        )
-        # 0 if it is not known where it stands.
-        return max(0.0, echo) if is_low else 1.0
+        return find_operator_limit(config, echo) or 0.0
     written = (state.fraction, *(f for f, *_ in state.replaced))
     if (
         config.yield_to_operator
