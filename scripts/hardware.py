@@ -74,7 +74,10 @@ _OF_A_PERSON = (
     "stop_due_s",
 )
 
-_console = Console(stderr=True, highlight=False)
+# Each message is one line, however long, and printed as it is.
+_console = Console(
+    stderr=True, highlight=False, soft_wrap=True, markup=False, emoji=False
+)
 
 
 def hardware(

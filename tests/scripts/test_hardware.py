@@ -554,6 +554,20 @@ class TestHardware(unittest.TestCase):
         self.assertIn("no report from the robot", err)
         self.assertIn("refused", err)
 
+    def test_a_message_is_a_line(self):
+        """However wide the terminal would be that stderr is not."""
+        columns = mock.patch.dict(os.environ, COLUMNS="80")
+        quiet = mock.patch.object(hardware_run, "_QUIET", 0.0)
+        with serve() as server, columns, quiet:
+            _, _, err = run_hardware(
+                server, "--wait", 0.3, rings="udp://127.0.0.1:47811"
+            )
+        # The robot may be waited for as well.
+        *_, waiting, refused = err.splitlines()
+        self.assertGreater(len(waiting), 80)
+        problem = waiting.removeprefix("waiting: ")
+        self.assertTrue(refused.startswith(f"tofssm: {problem} (waited"), err)
+
 
 class TestReady(unittest.TestCase):
     @classmethod
