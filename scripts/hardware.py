@@ -210,12 +210,7 @@ def hardware(
     )
     if not is_virtual:
         scenario.human = NoHuman()
-    slider = SliderConfig(
-        minimum_fraction=minimum_fraction,
-        reduced_fraction=scenario.ssm.rho_reduced,
-        operator_limit=slider_limit,
-    )
-    slider.check("slider")
+    slider = _make_slider_config(minimum_fraction, slider_limit, scenario)
     robot_config = options.make_robot_config(
         robot_host, robot_port, robot_text, write=not dry_run
     )
@@ -327,6 +322,27 @@ def hardware(
             is_real=not is_virtual,
         )
     return end.code
+
+
+def _make_slider_config(minimum_fraction, slider_limit, scenario):
+    """Returns how to use the slider, checked; blames the options."""
+    config = SliderConfig(
+        minimum_fraction=minimum_fraction, operator_limit=slider_limit
+    )
+    option = {
+        "slider.minimum_fraction": "--minimum-fraction",
+        "slider.operator_limit": "--slider-limit",
+    }
+    with options.blame(option):
+        config.check("slider")
+    reduced = scenario.ssm.rho_reduced
+    require(
+        minimum_fraction < reduced,
+        f"--minimum-fraction: must be below ssm.rho_reduced, {reduced:g}, "
+        f"got {minimum_fraction:g}",
+    )
+    config.reduced_fraction = reduced
+    return config
 
 
 @dc.dataclass

@@ -391,7 +391,23 @@ class TestHardware(unittest.TestCase):
                 (("--wait", 0.3), "udp://127.0.0.1:0", "names no port"),
                 (("--wait", 0), "virtual", "--wait"),
                 (("--duration", -1), "virtual", "--duration"),
-                (("--minimum-fraction", 0.5), "virtual", "minimum_fraction"),
+                *(
+                    ((f"--{name}", value), "virtual", f"tofssm: --{name}: must")
+                    for name, value in (
+                        ("minimum-fraction", 0.5),
+                        ("slider-limit", 0),
+                        ("robot-port", 70000),
+                        ("robot-host", ""),
+                    )
+                ),
+                (
+                    (
+                        *("--scenario-text", "{ssm: {rho_reduced: 0.05}}"),
+                        *("--minimum-fraction", 0.1),
+                    ),
+                    "virtual",
+                    "--minimum-fraction: must be below ssm.rho_reduced, 0.05",
+                ),
                 ((), "udp://0.0.0.0:5005", "--allow-remote"),
                 *(
                     (("--robot-text", text), "virtual", message)
@@ -498,7 +514,7 @@ class TestHardware(unittest.TestCase):
                 (("--sensors-per-ring", 9), "--sensors-per-ring"),
                 (("--control-period", "nan"), "--control-period"),
                 (("--control-period", "inf"), "--control-period"),
-                (("--slider-limit", "nan"), "slider.operator_limit"),
+                (("--slider-limit", "nan"), "--slider-limit"),
             ):
                 with self.subTest(options=options):
                     path = self.folder / "run.mcap"
