@@ -188,6 +188,12 @@ def hardware(
         is_virtual or _VIRTUAL not in rings,
         f"--rings: {_VIRTUAL} stands alone, got {', '.join(rings)}",
     )
+    for option, value in (("--human-motion", human_motion), ("--seed", seed)):
+        require(
+            is_virtual or value is None,
+            f"{option}: is only for --rings {_VIRTUAL}, got --rings "
+            f"{', '.join(rings)}",
+        )
     addresses = (
         []
         if is_virtual

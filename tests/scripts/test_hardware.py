@@ -410,6 +410,11 @@ class TestHardware(unittest.TestCase):
                 ),
                 ((), "udp://0.0.0.0:5005", "--allow-remote"),
                 *(
+                    (option, rings, f"{option[0]}: is only for --rings virtual")
+                    for option in (("--seed", 0), ("--human-motion", "a.bvh"))
+                    for rings in ("udp://127.0.0.1:5005", "serial:///dev/null")
+                ),
+                *(
                     (("--robot-text", text), "virtual", message)
                     for text, message in (
                         ("{lenien: true}", "did you mean 'lenient'?"),
@@ -422,7 +427,9 @@ class TestHardware(unittest.TestCase):
                     )
                 ),
             ):
-                with self.subTest(message=message):
+                # What is not refused ends none the less.
+                options = ("--wait", 0.3, *options)
+                with self.subTest(message=message, rings=rings):
                     code, out, err = run_hardware(server, *options, rings=rings)
                     self.assertEqual((code, out), (2, ""))
                     self.assertIn(message, err)
