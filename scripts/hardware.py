@@ -76,7 +76,10 @@ _OF_A_PERSON = (
     "stop_due_s",
 )
 
-_console = Console(stderr=True, highlight=False)
+# Each message is one line, however long, and printed as it is.
+_console = Console(
+    stderr=True, highlight=False, soft_wrap=True, markup=False, emoji=False
+)
 
 
 def hardware(
@@ -187,6 +190,12 @@ def hardware(
         is_virtual or _VIRTUAL not in rings,
         f"--rings: {_VIRTUAL} stands alone, got {', '.join(rings)}",
     )
+    for option, value in (("--human-motion", human_motion), ("--seed", seed)):
+        require(
+            is_virtual or value is None,
+            f"{option}: is only for --rings {_VIRTUAL}, got --rings "
+            f"{', '.join(rings)}",
+        )
     addresses = (
         []
         if is_virtual
@@ -209,12 +218,7 @@ def hardware(
     )
     if not is_virtual:
         scenario.human = NoHuman()
-    slider = SliderConfig(
-        minimum_fraction=minimum_fraction,
-        reduced_fraction=scenario.ssm.rho_reduced,
-        operator_limit=slider_limit,
-    )
-    slider.check("slider")
+    slider = _make_slider_config(minimum_fraction, slider_limit, scenario)
     robot_config = options.make_robot_config(
         robot_host, robot_port, robot_text, write=not dry_run
     )
@@ -333,6 +337,27 @@ def hardware(
             is_real=not is_virtual,
         )
     return end.code
+
+
+def _make_slider_config(minimum_fraction, slider_limit, scenario):
+    """Returns how to use the slider, checked; blames the options."""
+    config = SliderConfig(
+        minimum_fraction=minimum_fraction, operator_limit=slider_limit
+    )
+    option = {
+        "slider.minimum_fraction": "--minimum-fraction",
+        "slider.operator_limit": "--slider-limit",
+    }
+    with options.blame(option):
+        config.check("slider")
+    reduced = scenario.ssm.rho_reduced
+    require(
+        minimum_fraction < reduced,
+        f"--minimum-fraction: must be below ssm.rho_reduced, {reduced:g}, "
+        f"got {minimum_fraction:g}",
+    )
+    config.reduced_fraction = reduced
+    return config
 
 
 @dc.dataclass

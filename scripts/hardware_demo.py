@@ -13,9 +13,14 @@ from typing import Annotated
 
 import typer
 
+from tofssm_drake.diagrams.scenario import load_scenario
 from tofssm_drake.errors import UserError, require
 import tofssm_drake.scripts.options as options
-from tofssm_drake.scripts.simulate import catch_stop
+from tofssm_drake.scripts.simulate import (
+    catch_stop,
+    make_folder,
+    override,
+)
 
 _HOST = "127.0.0.1"
 # One wait for the monitor, then signals are looked at, s.
@@ -55,7 +60,12 @@ def hardware_demo(
         1 <= products <= 10,
         f"--products: must be from 1 to 10, got {products}",
     )
+    require(duration >= 0.0, f"--duration: must be 0 or more, got {duration:g}")
     scenario = f"{{program: {{products: {products}}}}}"
+    override(load_scenario(text=scenario), ssm=ssm)
+    make_folder(out)
+    kept = out / "run.mcap"
+    require(not kept.is_dir(), f"--out: {kept} is a folder")
     robot_port, ring_port = _find_port(socket.SOCK_STREAM), _find_port()
     with (
         catch_stop(until_end=True) as stopped,
@@ -84,8 +94,8 @@ def hardware_demo(
         ) as monitor:
             code = _wait(monitor, stopped)
         if record.is_file() and out.is_dir():
-            shutil.move(record, out / "run.mcap")
-            print(f"record: {out / 'run.mcap'}")
+            shutil.move(record, kept)
+            print(f"record: {kept}")
     return code
 
 

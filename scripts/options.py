@@ -84,7 +84,8 @@ def make_robot_config(
             f"--robot-text: robot.{name}: use {option}",
         )
     settings = dc.replace(settings, host=host, port=port, write=write)
-    settings.check("robot")
+    with blame({"robot.host": "--robot-host", "robot.port": "--robot-port"}):
+        settings.check("robot")
     return settings
 
 

@@ -29,7 +29,10 @@ from tofssm_drake.scripts.simulate import (
     override,
 )
 
-_console = Console(stderr=True, highlight=False)
+# Each message is one line, however long, and printed as it is.
+_console = Console(
+    stderr=True, highlight=False, soft_wrap=True, markup=False, emoji=False
+)
 
 
 def simulated_rings(

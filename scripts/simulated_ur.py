@@ -10,7 +10,18 @@ from tofssm_drake.hardware.simulated_ur import SimulatedUr, SimulatedUrConfig
 from tofssm_drake.robot.kinematics import RingKinematics
 from tofssm_drake.robot.program import make_program_path
 from tofssm_drake.robot.twin import make_cell_plant
+import tofssm_drake.scripts.options as options
 from tofssm_drake.scripts.simulate import catch_stop, interrupt_on_stop
+
+# By the setting that comes from it.
+_OPTIONS = {
+    "robot.series": "--series",
+    "robot.start": "--start",
+    "robot.ramp": "--ramp",
+    "robot.watchdog_timeout": "--watchdog",
+    "robot.watchdog_action": "--watchdog-action",
+    "robot.program.products": "--products",
+}
 
 
 def simulated_ur(
@@ -89,7 +100,8 @@ def simulated_ur(
         protective_stop_after_zero=protective_stop_after_zero,
     )
     config.program.products = products
-    config.check("robot")
+    with options.blame(_OPTIONS):
+        config.check("robot")
     for name, number in (
         ("--port", port),
         ("--dashboard-port", dashboard_port),

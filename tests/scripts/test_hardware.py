@@ -392,8 +392,29 @@ class TestHardware(unittest.TestCase):
                 (("--wait", 0.3), "udp://127.0.0.1:0", "names no port"),
                 (("--wait", 0), "virtual", "--wait"),
                 (("--duration", -1), "virtual", "--duration"),
-                (("--minimum-fraction", 0.5), "virtual", "minimum_fraction"),
+                *(
+                    ((f"--{name}", value), "virtual", f"tofssm: --{name}: must")
+                    for name, value in (
+                        ("minimum-fraction", 0.5),
+                        ("slider-limit", 0),
+                        ("robot-port", 70000),
+                        ("robot-host", ""),
+                    )
+                ),
+                (
+                    (
+                        *("--scenario-text", "{ssm: {rho_reduced: 0.05}}"),
+                        *("--minimum-fraction", 0.1),
+                    ),
+                    "virtual",
+                    "--minimum-fraction: must be below ssm.rho_reduced, 0.05",
+                ),
                 ((), "udp://0.0.0.0:5005", "--allow-remote"),
+                *(
+                    (option, rings, f"{option[0]}: is only for --rings virtual")
+                    for option in (("--seed", 0), ("--human-motion", "a.bvh"))
+                    for rings in ("udp://127.0.0.1:5005", "serial:///dev/null")
+                ),
                 *(
                     (("--robot-text", text), "virtual", message)
                     for text, message in (
@@ -407,7 +428,9 @@ class TestHardware(unittest.TestCase):
                     )
                 ),
             ):
-                with self.subTest(message=message):
+                # What is not refused ends none the less.
+                options = ("--wait", 0.3, *options)
+                with self.subTest(message=message, rings=rings):
                     code, out, err = run_hardware(server, *options, rings=rings)
                     self.assertEqual((code, out), (2, ""))
                     self.assertIn(message, err)
@@ -499,7 +522,7 @@ class TestHardware(unittest.TestCase):
                 (("--sensors-per-ring", 9), "--sensors-per-ring"),
                 (("--control-period", "nan"), "--control-period"),
                 (("--control-period", "inf"), "--control-period"),
-                (("--slider-limit", "nan"), "slider.operator_limit"),
+                (("--slider-limit", "nan"), "--slider-limit"),
             ):
                 with self.subTest(options=options):
                     path = self.folder / "run.mcap"
@@ -590,6 +613,20 @@ class TestHardware(unittest.TestCase):
         self.assertEqual(code, 2)
         self.assertIn("no report from the robot", err)
         self.assertIn("refused", err)
+
+    def test_a_message_is_a_line(self):
+        """However wide the terminal would be that stderr is not."""
+        columns = mock.patch.dict(os.environ, COLUMNS="80")
+        quiet = mock.patch.object(hardware_run, "_QUIET", 0.0)
+        with serve() as server, columns, quiet:
+            _, _, err = run_hardware(
+                server, "--wait", 0.3, rings="udp://127.0.0.1:47811"
+            )
+        # The robot may be waited for as well.
+        *_, waiting, refused = err.splitlines()
+        self.assertGreater(len(waiting), 80)
+        problem = waiting.removeprefix("waiting: ")
+        self.assertTrue(refused.startswith(f"tofssm: {problem} (waited"), err)
 
 
 class TestReady(unittest.TestCase):

@@ -100,7 +100,8 @@ class TestSimulatedRings(unittest.TestCase):
         (["--pty", "--fault", "silent:wrist@1"], "no ring 'wrist'"),
         (["--pty", "--drift", "nan"], "--drift"),
         (["--pty", "--duration", "-1"], "--duration"),
-        (["--pty", "--robot-port", "0"], "robot.port"),
+        (["--pty", "--robot-port", "0"], "tofssm: --robot-port: must be"),
+        (["--pty", "--robot-host", ""], "tofssm: --robot-host: must not be"),
         (
             ["--pty", "--robot-text", "{retry: 1}"],
             "--robot-text:1: robot.retry",

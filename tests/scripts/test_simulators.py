@@ -8,9 +8,33 @@ import time
 import unittest
 from unittest import mock
 
+from tofssm_drake.hardware.robot_connection import RtdeStatus
+from tofssm_drake.hardware.rtde_client import RtdeClient
 from tofssm_drake.hardware.simulated_ur import SimulatedUr
+from tofssm_drake.messages import RobotReport
 from tofssm_drake.scripts import simulated_rings
 from tofssm_drake.scripts.main import run
+
+
+class TestMessages(unittest.TestCase):
+    def test_what_is_wrong_with_the_robot_is_a_line(self):
+        problem = "robot.local: [no] " + 20 * "reason " + ":cat:"
+
+        def stop(*_, **__):
+            os.kill(os.getpid(), signal.SIGTERM)
+            return RobotReport()
+
+        err = io.StringIO()
+        with (
+            mock.patch.object(
+                RtdeClient, "get_status", lambda _: RtdeStatus(problem=problem)
+            ),
+            mock.patch.object(RtdeClient, "wait_for_report", stop),
+            contextlib.redirect_stdout(io.StringIO()),
+            contextlib.redirect_stderr(err),
+        ):
+            run(["simulated-rings", "--pty", "--robot-port", "1"])
+        self.assertEqual(err.getvalue(), f"robot: {problem}\n")
 
 
 class TestInterrupt(unittest.TestCase):
