@@ -595,7 +595,7 @@ class TestHardware(unittest.TestCase):
             mock.patch.object(RingLink, "wait_for_scans", wait),
         ):
             code, _, err = run_hardware(
-                server, "--wait", 1, rings="udp://127.0.0.1:47812"
+                server, "--wait", 1.5, rings="udp://127.0.0.1:47812"
             )
         self.assertEqual(code, 2, err)
         # Before it, the twin was made.
@@ -604,11 +604,11 @@ class TestHardware(unittest.TestCase):
     def test_says_what_it_waits_for(self):
         with serve() as server:
             code, _, err = run_hardware(
-                server, "--wait", 0.3, rings="udp://127.0.0.1:47811"
+                server, "--wait", 1.5, rings="udp://127.0.0.1:47811"
             )
             self.assertEqual(code, 2)
             self.assertIn("no scan of base, elbow, tool", err)
-            self.assertIn("(waited 0.3 s)", err)
+            self.assertIn("(waited 1.5 s)", err)
         code, _, err = run_hardware(server, "--wait", 0.3)
         self.assertEqual(code, 2)
         self.assertIn("no report from the robot", err)
