@@ -180,6 +180,43 @@ class TestHandshake(TestServer):
         self.assertEqual(dut.receive()[1], struct.pack(">Bi", 1, 7))
 
 
+class TestDivider(unittest.TestCase):
+    def test_whole_dividers(self):
+        for rate in (125, 500):
+            for divider in range(1, rate + 1):
+                with self.subTest(rate=rate, divider=divider):
+                    self.assertEqual(
+                        mut.calc_divider(rate, rate / divider), divider
+                    )
+
+    def test_at_least_as_often_as_asked_for(self):
+        for rate, frequency, divider in (
+            (125, 100.0, 1),
+            (125, 62.51, 1),
+            (125, 62.5, 2),
+            (125, 62.49, 2),
+            (125, 8.34, 14),
+            (500, 8.33, 60),
+            (500, 300.0, 1),
+        ):
+            with self.subTest(rate=rate, frequency=frequency):
+                self.assertEqual(mut.calc_divider(rate, frequency), divider)
+
+    def test_of_a_stream(self):
+        # One of those that a plain floor gets wrong.
+        with serve(make_robot(series="e")) as server:
+            dut = RawClient(server.address)
+            self.addCleanup(dut.close)
+            dut.ask("V", b"\x00\x02")
+            dut.set_up(b"timestamp", 500 / 29)
+            dut.ask("S")
+            times = [
+                struct.unpack(">xd", dut.receive()[1])[0] for _ in range(5)
+            ]
+        # A late thread leaves out cycles, but never adds one.
+        self.assertGreaterEqual(np.rint(np.diff(times) / 0.002).min(), 29)
+
+
 _count = {}
 
 

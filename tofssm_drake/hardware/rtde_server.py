@@ -281,7 +281,7 @@ class RtdeServer:
         # Not a number is out of range, too.
         if names and rtde.NOT_FOUND not in types and 1 <= frequency <= rate:
             session.outputs = rtde.Recipe(names, types, 1)
-            session.divider = int(rate / frequency)
+            session.divider = calc_divider(rate, frequency)
         return rtde.encode_output_setup_reply(
             rtde.Setup(0 if session.outputs is None else 1, types),
             version=session.version,
@@ -523,6 +523,19 @@ class RtdeServer:
     def _restart(self):
         self.drop_clients()
         self.robot.restart_clock()
+
+
+def calc_divider(rate: float, frequency: float) -> int:
+    """Returns every how many control cycles a package is sent.
+
+    The packages come at least as often as was asked for. A whole divider
+    stays what it is: rate / (rate / k) may be a bit less than k.
+
+    Args:
+        rate: Control cycles per second.
+        frequency: Packages per second that a client asks for, 1 to rate.
+    """
+    return int(rate / frequency * (1.0 + 1e-9))
 
 
 def _accept(listener, connected) -> socket.socket | None:
