@@ -106,6 +106,27 @@ class TestHandshake(TestServer):
         self.assertEqual((number, mode), (1, 7))
         self.assertAlmostEqual(q[1], -2.1, delta=1.5)
 
+    def test_no_other_version_while_a_stream_runs(self):
+        for version, other, names in (
+            (1, 2, b"timestamp"),
+            (2, 1, struct.pack(">d", 125.0) + b"timestamp"),
+        ):
+            with self.subTest(version=version):
+                dut = self.connect(version=version)
+                dut.ask("O", names)
+                dut.ask("S")
+                for asked, accepted in ((other, 0), (version, 1)):
+                    self.assertEqual(
+                        dut.ask("V", struct.pack(">H", asked)),
+                        bytes([accepted]),
+                    )
+                    sizes = {len(dut.receive()[1]) for _ in range(3)}
+                    self.assertEqual(sizes, {8 if version == 1 else 9})
+                dut.ask("P")
+                self.assertEqual(
+                    dut.ask("V", struct.pack(">H", other)), b"\x01"
+                )
+
     def test_version_1_stream(self):
         dut = self.connect(version=1)
         self.assertEqual(

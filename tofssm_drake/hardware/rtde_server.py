@@ -244,7 +244,10 @@ class RtdeServer:
         reply = None
         if kind == PackageType.REQUEST_PROTOCOL_VERSION:
             version = rtde.decode_version_request(payload)
-            accepted = version in (1, 2)
+            # Another version's packages have another size.
+            accepted = version in (1, 2) and (
+                version == session.version or not session.started
+            )
             reply = rtde.encode_accepted(kind, accepted)
         elif kind == PackageType.GET_URCONTROL_VERSION:
             reply = rtde.encode_controller_version(self.robot.version)
