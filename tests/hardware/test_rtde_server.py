@@ -7,6 +7,7 @@ import socket
 import struct
 import time
 import unittest
+from unittest import mock
 
 import numpy as np
 from robot_room import make_robot, serve
@@ -106,6 +107,27 @@ class TestHandshake(TestServer):
         self.assertEqual((number, mode), (1, 7))
         self.assertAlmostEqual(q[1], -2.1, delta=1.5)
 
+    def test_no_other_version_while_a_stream_runs(self):
+        for version, other, names in (
+            (1, 2, b"timestamp"),
+            (2, 1, struct.pack(">d", 125.0) + b"timestamp"),
+        ):
+            with self.subTest(version=version):
+                dut = self.connect(version=version)
+                dut.ask("O", names)
+                dut.ask("S")
+                for asked, accepted in ((other, 0), (version, 1)):
+                    self.assertEqual(
+                        dut.ask("V", struct.pack(">H", asked)),
+                        bytes([accepted]),
+                    )
+                    sizes = {len(dut.receive()[1]) for _ in range(3)}
+                    self.assertEqual(sizes, {8 if version == 1 else 9})
+                dut.ask("P")
+                self.assertEqual(
+                    dut.ask("V", struct.pack(">H", other)), b"\x01"
+                )
+
     def test_version_1_stream(self):
         dut = self.connect(version=1)
         self.assertEqual(
@@ -178,6 +200,43 @@ class TestHandshake(TestServer):
         dut.set_up(b"robot_mode")
         self.assertEqual(dut.ask("S"), b"\x01")
         self.assertEqual(dut.receive()[1], struct.pack(">Bi", 1, 7))
+
+
+class TestDivider(unittest.TestCase):
+    def test_whole_dividers(self):
+        for rate in (125, 500):
+            for divider in range(1, rate + 1):
+                with self.subTest(rate=rate, divider=divider):
+                    self.assertEqual(
+                        mut.calc_divider(rate, rate / divider), divider
+                    )
+
+    def test_at_least_as_often_as_asked_for(self):
+        for rate, frequency, divider in (
+            (125, 100.0, 1),
+            (125, 62.51, 1),
+            (125, 62.5, 2),
+            (125, 62.49, 2),
+            (125, 8.34, 14),
+            (500, 8.33, 60),
+            (500, 300.0, 1),
+        ):
+            with self.subTest(rate=rate, frequency=frequency):
+                self.assertEqual(mut.calc_divider(rate, frequency), divider)
+
+    def test_of_a_stream(self):
+        # One of those that a plain floor gets wrong.
+        with serve(make_robot(series="e")) as server:
+            dut = RawClient(server.address)
+            self.addCleanup(dut.close)
+            dut.ask("V", b"\x00\x02")
+            dut.set_up(b"timestamp", 500 / 29)
+            dut.ask("S")
+            times = [
+                struct.unpack(">xd", dut.receive()[1])[0] for _ in range(5)
+            ]
+        # A late thread leaves out cycles, but never adds one.
+        self.assertGreaterEqual(np.rint(np.diff(times) / 0.002).min(), 29)
 
 
 _count = {}
@@ -326,6 +385,91 @@ class TestBadClients(TestServer):
                 return
             except (EOFError, ConnectionError):
                 self.assertLess(time.monotonic(), deadline)
+
+    def test_asks_and_never_reads(self):
+        client, other = self.connect(), self.connect()
+        client.socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+        # Short names have long answers: 1000 times NOT_FOUND.
+        names = struct.pack(">d", 125.0) + b",".join([b"q"] * 1000)
+        with self.assertRaises(ConnectionError):
+            for _ in range(3000):
+                client.send(ord("O"), names)
+        self.assertEqual(len(other.ask("v")), 16)
+        self.assert_serves()
+
+    def test_asks_a_lot_and_reads(self):
+        client = self.connect()
+        count = 20000
+        client.socket.sendall(struct.pack(">HB", 3, ord("v")) * count)
+        for _ in range(count):
+            self.assertEqual(client.receive()[0], ord("v"))
+        # In the order in which they were asked, up to what can not be.
+        client.socket.sendall(
+            rtde.encode_package(ord("v"))
+            + rtde.encode_version_request(1)
+            + rtde.encode_package(ord("P"))
+            + b"\x00\x02V"
+        )
+        kinds = [client.receive()[0] for _ in range(3)]
+        self.assertEqual(bytes(kinds), b"vVP")
+        with self.assertRaises(EOFError):
+            client.receive()
+
+
+class SlowTime:
+    """A clock that goes on by half a millisecond whenever it is asked.
+
+    For a server that asks it, work takes time, the same on every computer.
+    """
+
+    def __init__(self):
+        self.now = 100.0
+
+    def monotonic(self):
+        self.now += 0.0005
+        return self.now
+
+
+class TestFloods(unittest.TestCase):
+    """The robot's cycles are on time, whoever floods the server."""
+
+    def check(self, get_address, flood, clients=1):
+        with contextlib.ExitStack() as stack:
+            robot = make_robot()
+            stack.enter_context(mock.patch.object(mut, "time", SlowTime()))
+            server = mut.RtdeServer(robot=robot, port=0, dashboard_port=0)
+            watcher = RawClient(server.address)
+            stack.callback(watcher.close)
+            watcher.send(ord("V"), b"\x00\x02")
+            watcher.send(ord("O"), struct.pack(">d", 125.0) + b"timestamp")
+            watcher.send(ord("S"))
+            for _ in range(clients):
+                client = socket.create_connection(get_address(server), 5.0)
+                stack.callback(client.close)
+                client.sendall(flood)
+            # In this thread: it returns when that many cycles are done.
+            server.run(lambda: robot.cycle >= 60)
+            times = []
+            with contextlib.suppress(EOFError):
+                while True:
+                    kind, payload = watcher.receive()
+                    if kind == PackageType.DATA_PACKAGE:
+                        times.append(struct.unpack(">xd", payload)[0])
+        self.assertGreater(len(times), 30)
+        return np.rint(np.diff(times) / 0.008).max()
+
+    def test_of_requests(self):
+        flood = struct.pack(">HB", 3, ord("v")) * 5000
+        for clients in (1, 20):
+            with self.subTest(clients=clients):
+                gap = self.check(lambda s: s.address, flood, clients)
+                self.assertEqual(gap, 1)
+
+    def test_of_the_dashboard(self):
+        # A line that asks the clock.
+        flood = b"simulate stall 0\n" * 500
+        gap = self.check(lambda s: s.dashboard_address, flood, 20)
+        self.assertEqual(gap, 1)
 
 
 class TestStreams(TestServer):

@@ -1,3 +1,4 @@
+import dataclasses as dc
 import unittest
 
 import numpy as np
@@ -81,6 +82,34 @@ class TestKinematics(unittest.TestCase):
                 elbow, calc_dh_pose(q, 2)[:3, 3], atol=1e-9
             )
         self.assertGreater(tcp, 0.05)
+
+    def test_tcp_offset_is_what_lies_between_flange_and_tool(self):
+        robot = make_robot()
+        for _ in range(3):
+            run(robot, 200)
+            flange = calc_dh_pose(robot.outputs["actual_q"])
+            tool, offset = np.eye(4), np.eye(4)
+            for X, name in ((tool, "actual_TCP_pose"), (offset, "tcp_offset")):
+                pose = robot.outputs[name]
+                X[:3, 3] = pose[:3]
+                X[:3, :3] = Rotation.from_rotvec(pose[3:]).as_matrix()
+            np.testing.assert_allclose(flange @ offset, tool, atol=1e-9)
+
+    def test_tcp_offset_of_a_tool_that_is_turned(self):
+        kinematics = make_kinematics()
+        turn = np.array([0.3, -0.2, 0.5])
+        X_AS = kinematics.X_AS.copy()
+        X_AS[-1, :, :3] = Rotation.from_rotvec(turn).as_matrix()
+        X_AS[-1, :, 3] = (0.01, -0.02, 0.15)
+        np.testing.assert_allclose(
+            mut.calc_tcp_offset(dc.replace(kinematics, X_AS=X_AS)),
+            [0.01, -0.02, 0.15, *turn],
+            atol=1e-12,
+        )
+        with self.assertRaisesRegex(UserError, "must sit on the flange"):
+            mut.calc_tcp_offset(
+                dc.replace(kinematics, site_link=np.array([2, 3, 6, 5]))
+            )
 
     def test_velocities_are_derivatives(self):
         h = 1e-6

@@ -1,11 +1,13 @@
 """The controller's side of RTDE: serves a simulated robot to many clients.
 
 One thread does everything: it steps the robot on its own clock, answers
-clients and streams. A client that is slow misses packages; it never holds up
+clients and streams. A client that is slow misses packages, and one that asks
+and asks takes turns with the others while the cycle lasts; neither holds up
 the robot or anyone else. A second port speaks the part of UR's dashboard
 that starts and stops programs, and takes the faults to inject.
 """
 
+import collections
 from collections.abc import Callable
 import dataclasses as dc
 import math
@@ -27,6 +29,12 @@ from tofssm_drake.hardware.simulated_ur import SimulatedUr
 # long it may read nothing before it is dropped, s.
 _BACKLOG = 1 << 16
 _PATIENCE = 10.0
+# Bytes that may wait for a client that asks and does not read the answers.
+_MOST_UNREAD = 1 << 18
+# Bytes that are read in one turn of a client and of a console: what they hold
+# is taken apart, and a console's lines are done, in about a millisecond.
+_BYTES_PER_TURN = 1 << 12
+_CONSOLE_BYTES_PER_TURN = 1 << 7
 # Connections to a port at a time, and what select can watch.
 _MOST_CLIENTS = 100
 _MOST_FILES = 1024
@@ -60,6 +68,9 @@ class _Session:
     def __init__(self, connection: socket.socket):
         self.connection = connection
         self.reader = rtde.PackageReader()
+        self.requests: collections.deque[tuple[int, bytes]] = (
+            collections.deque()
+        )
         self.version = 1
         self.outputs: rtde.Recipe | None = None
         self.divider = 1
@@ -101,6 +112,8 @@ class RtdeServer:
         self._sessions: dict[socket.socket, _Session] = {}
         self._claims: dict[str, object] = {}
         self._consoles: dict[socket.socket, bytearray] = {}
+        # Who has something to be dealt with, in the order of the turns.
+        self._turns: dict[socket.socket, Callable] = {}
         # Not epoll: its timeouts are whole milliseconds.
         self._selector = selectors.SelectSelector()
         self._listeners: list[socket.socket] = []
@@ -127,7 +140,7 @@ class RtdeServer:
         tick = time.monotonic() + period
         try:
             while not is_stopped():
-                self._wait(tick - time.monotonic())
+                self._wait(tick)
                 now = time.monotonic()
                 if now >= tick:
                     cycles = 1 + int((now - tick) / period)
@@ -146,6 +159,7 @@ class RtdeServer:
         self._selector.close()
         self._sessions.clear()
         self._consoles.clear()
+        self._turns.clear()
 
     def drop_clients(self) -> None:
         """Closes the connections of all clients."""
@@ -177,8 +191,8 @@ class RtdeServer:
         self._selector.register(listener, selectors.EVENT_READ, accept)
         return listener.getsockname()[:2]
 
-    def _wait(self, seconds):
-        """Serves sockets until something happened or the time is over."""
+    def _wait(self, tick):
+        """Serves sockets until something happened or the time has come."""
         for session in self._sessions.values():
             events = selectors.EVENT_READ
             if session.outgoing:
@@ -186,11 +200,29 @@ class RtdeServer:
             key = self._selector.get_key(session.connection)
             if key.events != events:
                 self._selector.modify(session.connection, events, key.data)
-        for key, events in self._selector.select(max(seconds, 0.0)):
+        seconds = 0.0 if self._turns else max(tick - time.monotonic(), 0.0)
+        for key, events in self._selector.select(seconds):
             if key.fileobj in self._sessions and events & selectors.EVENT_WRITE:
                 self._flush(self._sessions[key.fileobj])
-            if events & selectors.EVENT_READ and key.fileobj.fileno() >= 0:
-                key.data(key.fileobj)
+            if events & selectors.EVENT_READ:
+                # Whoever waits for a turn keeps the place.
+                self._turns.setdefault(key.fileobj, key.data)
+        self._take_turns(tick)
+
+    def _take_turns(self, tick):
+        """Gives one turn to each who waits for it, as long as there is time.
+
+        Who is left comes first the next time. One turn at least is given,
+        so that the clients of a computer that is too slow are not cut off.
+        """
+        for _ in range(len(self._turns)):
+            connection = next(iter(self._turns))
+            deal_with = self._turns.pop(connection)
+            # Whoever was dropped meanwhile is closed.
+            if connection.fileno() >= 0:
+                deal_with(connection)
+            if time.monotonic() >= tick:
+                return
 
     def _accept_client(self, listener):
         connection = _accept(listener, len(self._sessions))
@@ -199,20 +231,24 @@ class RtdeServer:
         connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         self._sessions[connection] = _Session(connection)
         self._selector.register(
-            connection, selectors.EVENT_READ, self._read_client
+            connection, selectors.EVENT_READ, self._serve_client
         )
 
-    def _read_client(self, connection):
+    def _serve_client(self, connection):
+        """Deals with one request of a client; reads if there is none left."""
         session = self._sessions[connection]
-        data = _receive(connection)
-        if data is None:
-            return
-        if not data:
-            self._drop(session)
-            return
-        for kind, payload in session.reader.feed(data):
+        if not session.requests:
+            data = _receive(connection, _BYTES_PER_TURN)
+            if data is None:
+                return
+            if not data:
+                self._drop(session)
+                return
+            session.requests.extend(session.reader.feed(data))
+        waiting = len(session.outgoing)
+        if session.requests:
             try:
-                self._answer(session, kind, payload)
+                self._answer(session, *session.requests.popleft())
             except RtdeError as error:
                 self._tell(session, str(error), rtde.TextLevel.WARNING)
             except Exception as error:
@@ -220,6 +256,13 @@ class RtdeServer:
                 self._tell(session, repr(error), rtde.TextLevel.EXCEPTION)
                 self._drop(session)
                 return
+        # Data packages have a bound of their own; here answers count.
+        if len(session.outgoing) > max(waiting, _MOST_UNREAD):
+            self._drop(session)
+            return
+        if session.requests:
+            self._turns[connection] = self._serve_client
+            return
         try:
             session.reader.check()
         except RtdeError:
@@ -244,7 +287,10 @@ class RtdeServer:
         reply = None
         if kind == PackageType.REQUEST_PROTOCOL_VERSION:
             version = rtde.decode_version_request(payload)
-            accepted = version in (1, 2)
+            # Another version's packages have another size.
+            accepted = version in (1, 2) and (
+                version == session.version or not session.started
+            )
             reply = rtde.encode_accepted(kind, accepted)
         elif kind == PackageType.GET_URCONTROL_VERSION:
             reply = rtde.encode_controller_version(self.robot.version)
@@ -281,7 +327,7 @@ class RtdeServer:
         # Not a number is out of range, too.
         if names and rtde.NOT_FOUND not in types and 1 <= frequency <= rate:
             session.outputs = rtde.Recipe(names, types, 1)
-            session.divider = int(rate / frequency)
+            session.divider = calc_divider(rate, frequency)
         return rtde.encode_output_setup_reply(
             rtde.Setup(0 if session.outputs is None else 1, types),
             version=session.version,
@@ -392,7 +438,7 @@ class RtdeServer:
         _send_line(connection, "Connected: Universal Robots Dashboard Server")
 
     def _read_console(self, connection):
-        data = _receive(connection)
+        data = _receive(connection, _CONSOLE_BYTES_PER_TURN)
         if data is None:
             return
         buffer = self._consoles[connection]
@@ -525,6 +571,19 @@ class RtdeServer:
         self.robot.restart_clock()
 
 
+def calc_divider(rate: float, frequency: float) -> int:
+    """Returns every how many control cycles a package is sent.
+
+    The packages come at least as often as was asked for. A whole divider
+    stays what it is: rate / (rate / k) may be a bit less than k.
+
+    Args:
+        rate: Control cycles per second.
+        frequency: Packages per second that a client asks for, 1 to rate.
+    """
+    return int(rate / frequency * (1.0 + 1e-9))
+
+
 def _accept(listener, connected) -> socket.socket | None:
     """Returns a new connection; None: there are too many, or it has gone."""
     try:
@@ -538,10 +597,10 @@ def _accept(listener, connected) -> socket.socket | None:
     return connection
 
 
-def _receive(connection) -> bytes | None:
+def _receive(connection, most) -> bytes | None:
     """Returns what came; b"" at the end; None if nothing is there yet."""
     try:
-        return connection.recv(1 << 16)
+        return connection.recv(most)
     except BlockingIOError:
         return None
     except OSError:

@@ -192,6 +192,7 @@ class SimulatedUr:
             "actual_joint_voltage": (48.0,) * 6,
             "robot_mode": int(RobotMode.RUNNING),
             "speed_scaling": 1.0,
+            "tcp_offset": tuple(calc_tcp_offset(kinematics).tolist()),
         }
         if config.start == "now":
             self.play()
@@ -429,18 +430,40 @@ def calc_tool_motion(
     calc_link_poses(kinematics.X_WB, kinematics.X_PJ, q, X_WA)
     X_WS, v_WS = kinematics.calc_sites(q, qd)
     axes = X_WA[1:, :, 2]
-    angle_axis = RotationMatrix(R_WB.T @ X_WS[-1, :, :3]).ToAngleAxis()
-    pose = np.concatenate(
-        [
-            (X_WS[-1, :, 3] - p_WB) @ R_WB,
-            angle_axis.angle() * angle_axis.axis(),
-        ]
+    pose = _calc_pose_vector(
+        R_WB.T @ X_WS[-1, :, :3], (X_WS[-1, :, 3] - p_WB) @ R_WB
     )
     velocity = np.concatenate([v_WS[-1] @ R_WB, qd @ axes @ R_WB])
     # The elbow joint's origin rides on the upper arm.
     p_WE = X_WA[3, :, 3]
     v_WE = qd[:2] @ np.cross(axes[:2], p_WE - X_WA[1:3, :, 3])
     return pose, velocity, (p_WE - p_WB) @ R_WB, v_WE @ R_WB
+
+
+def calc_tcp_offset(kinematics: RingKinematics) -> np.ndarray:
+    """Returns the tool's pose in the flange, as a UR controller tells it.
+
+    Args:
+        kinematics: Of the robot; its tool sits on the flange.
+
+    Returns:
+        x, y, z, rotation vector, m, rad, (6,).
+
+    Raises:
+        UserError: The tool sits elsewhere.
+    """
+    require(
+        kinematics.site_link[-1] == len(kinematics.X_PJ),
+        "robot model: the tool must sit on the flange",
+    )
+    X_FT = kinematics.X_AS[-1]
+    return _calc_pose_vector(X_FT[:, :3], X_FT[:, 3])
+
+
+def _calc_pose_vector(R, p):
+    """Returns a pose as UR writes it: x, y, z, rotation vector, (6,)."""
+    angle_axis = RotationMatrix(R).ToAngleAxis()
+    return np.concatenate([p, angle_axis.angle() * angle_axis.axis()])
 
 
 def _make_zero(kind):
