@@ -140,28 +140,36 @@ def require_plausible(
         before: The one that was answered before it.
         limits: Of the arm.
     """
-    elapsed = report.timestamp - before.timestamp
-    if report.session != before.session:
-        elapsed = math.inf
-    q_before = before.position.tolist()
-    v = report.velocity.tolist()
-    for j, q in enumerate(report.position.tolist()):
-        low, high, speed = limits.low[j], limits.high[j], limits.speed[j]
-        require(
-            low <= q <= high,
-            f"robot: joint {j + 1} is at {q:.3f} rad, the model's limits are "
-            f"{low:.3f} and {high:.3f}",
-        )
-        require(
-            abs(v[j]) <= _TOO_FAST * speed,
-            f"robot: joint {j + 1} turns at {v[j]:.3g} rad/s, the model's "
-            f"limit is {speed:.3g}",
-        )
-        require(
-            not abs(q - q_before[j]) > _JUMP + speed * elapsed,
-            f"robot: joint {j + 1} went from {q_before[j]:.3f} to {q:.3f} rad "
-            f"in {elapsed:.3f} s",
-        )
+    elapsed = math.inf
+    if report.session == before.session:
+        elapsed = report.timestamp - before.timestamp
+    joints = zip(
+        report.position.tolist(),
+        report.velocity.tolist(),
+        before.position.tolist(),
+        limits.low,
+        limits.high,
+        limits.speed,
+        strict=True,
+    )
+    # Words are made only of what is wrong: this is done in each tick.
+    for j, (q, v, q_before, low, high, speed) in enumerate(joints):
+        problem = ""
+        if not low <= q <= high:
+            problem = (
+                f"is at {q:.3f} rad, the model's limits are {low:.3f} and "
+                f"{high:.3f}"
+            )
+        elif not abs(v) <= _TOO_FAST * speed:
+            problem = (
+                f"turns at {v:.3g} rad/s, the model's limit is {speed:.3g}"
+            )
+        elif abs(q - q_before) > _JUMP + speed * elapsed:
+            problem = (
+                f"went from {q_before:.3f} to {q:.3f} rad in {elapsed:.3f} s"
+            )
+        if problem:
+            raise UserError(f"robot: joint {j + 1} {problem}")
 
 
 def hold_robot(robot: RobotConnection, fraction: float) -> None:
