@@ -456,10 +456,10 @@ class HardwareRun:
         self._report = report
         tick_time = self._robot_clock.update(report)
         lateness = self._robot_clock.lateness
-        require(
-            lateness <= _LATEST,
-            f"robot: reports come {1e3 * lateness:.0f} ms late",
-        )
+        if not lateness <= _LATEST:
+            raise UserError(
+                f"robot: reports come {1e3 * lateness:.0f} ms late"
+            )
         given = TickInput(
             time=tick_time,
             report=report,
