@@ -1,6 +1,8 @@
 """The whole way on real sockets: robot, rings and `tofssm hardware`.
 
-Three processes on this machine, three rings, 600 rays of the mask. The times
+Three processes on this machine, three rings, 600 rays of the mask. Robot and
+rings, which are computers of their own in truth, leave the last processor to
+the monitor, if there is another one. The times
 are those of the record; the robot notes when it is answered, too, which is
 everything that a robot would see.
 
@@ -27,9 +29,15 @@ _ROBOT = os.path.join(os.path.dirname(__file__), "clocked_robot.py")
 @contextlib.contextmanager
 def start(*command):
     """Starts a process and yields the first line that it prints."""
-    process = subprocess.Popen(
-        [str(part) for part in command], stdout=subprocess.PIPE, text=True
-    )
+    usual = os.sched_getaffinity(0)
+    # What is started within keeps to them.
+    os.sched_setaffinity(0, usual - {max(usual)} or usual)
+    try:
+        process = subprocess.Popen(
+            [str(part) for part in command], stdout=subprocess.PIPE, text=True
+        )
+    finally:
+        os.sched_setaffinity(0, usual)
     try:
         yield process.stdout.readline()
     finally:

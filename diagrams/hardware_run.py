@@ -457,9 +457,7 @@ class HardwareRun:
         tick_time = self._robot_clock.update(report)
         lateness = self._robot_clock.lateness
         if not lateness <= _LATEST:
-            raise UserError(
-                f"robot: reports come {1e3 * lateness:.0f} ms late"
-            )
+            raise UserError(f"robot: reports come {1e3 * lateness:.0f} ms late")
         given = TickInput(
             time=tick_time,
             report=report,
