@@ -2,9 +2,9 @@
 
 Three processes on this machine, three rings, 600 rays of the mask. Robot and
 rings, which are computers of their own in truth, leave the last processor to
-the monitor, if there is another one. The times
-are those of the record; the robot notes when it is answered, too, which is
-everything that a robot would see.
+the monitor, if there is another one. The times are those of the record; the
+robot notes when it is answered, too, which is everything that a robot would
+see.
 
 BENCH_SECONDS is how long each run takes, 60 s if it is not set.
 """

@@ -82,16 +82,8 @@ def require_ready(
             f"robot: safety mode is {name_of(SafetyMode, mode)}, must be "
             "normal or reduced",
         )
+    require_plausible(report, RobotReport(), JointLimits.from_plant(plant))
     q = report.position
-    low = plant.GetPositionLowerLimits()[:6]
-    high = plant.GetPositionUpperLimits()[:6]
-    outside = np.flatnonzero(~((q >= low) & (q <= high)))
-    if outside.size:
-        j = outside[0]
-        raise UserError(
-            f"robot: joint {j + 1} is at {q[j]:.3f} rad, the model's limits "
-            f"are {low[j]:.3f} and {high[j]:.3f}"
-        )
     path = make_program_path(scenario.program, RingKinematics.from_plant(plant))
     positions = np.array(
         [
@@ -381,12 +373,12 @@ class HardwareRun:
         self._record = record
         self._limits = limits
         self._lowest = lowest
+        # The newest that was taken.
         self._report = RobotReport()
         self._robot_clock = RobotClock(period=period)
         self._clock = clock
-        self._sequence = -1
         self._heard = clock()
-        self._timestamp = self._cycle = -math.inf
+        self._cycle = -math.inf
         self._early_scans = ()
         self.ticks = 0
         """Reports answered."""
@@ -438,7 +430,7 @@ class HardwareRun:
                 what it reports can not be.
         """
         report = self._wait_for_report()
-        if report.sequence <= self._sequence:
+        if report.sequence <= self._report.sequence:
             silence = self._clock() - self._heard
             problem = self._robot.get_status().problem
             require(
@@ -447,10 +439,8 @@ class HardwareRun:
                 f"{problem or 'it is silent'}",
             )
             return None
-        self._sequence = report.sequence
         self._heard = report.time
-        self._cycle = report.timestamp - self._timestamp
-        self._timestamp = report.timestamp
+        self._cycle = report.timestamp - self._report.timestamp
         if self._limits is not None:
             require_plausible(report, self._report, self._limits)
         self._report = report
@@ -488,7 +478,7 @@ class HardwareRun:
         if can_rehearse:
             due = self._heard + self._cycle - _REHEARSAL
             report = self._wait(due - self._clock())
-            if report.sequence > self._sequence:
+            if report.sequence > self._report.sequence:
                 return report
         scans = self._get_scans()
         if self._loop.take_scans(scans):
@@ -499,7 +489,7 @@ class HardwareRun:
 
     def _wait(self, timeout):
         return self._robot.wait_for_report(
-            after=self._sequence, timeout=timeout
+            after=self._report.sequence, timeout=timeout
         )
 
 

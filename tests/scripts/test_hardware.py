@@ -642,7 +642,12 @@ class TestReady(unittest.TestCase):
     def require(self, *, max_deviation=0.5, **fields):
         require_ready(
             RobotReport(
-                **{"position": self.q, "safety_mode": 1, "safety_status": 1}
+                **{
+                    "position": self.q,
+                    "velocity": np.zeros(6),
+                    "safety_mode": 1,
+                    "safety_status": 1,
+                }
                 | fields
             ),
             self.scenario,
