@@ -35,6 +35,36 @@ class Reading(enum.IntEnum):
     """The robot or its restricted workspace was seen: sensor dropped."""
     FAULTED = 3
     """Broken, stale or implausible: not clear."""
+    HELD = 4
+    """No distance now, but one before: it counts on, and closes in."""
+
+
+class SensorFault(enum.IntEnum):
+    """Why a sensor's sample cannot be used."""
+
+    NONE = 0
+    BUS = 1
+    """It did not answer on its bus."""
+    NO_DATA = 2
+    """No new measurement for too long."""
+    LATE = 3
+    """Its sample is too old."""
+    IMPLAUSIBLE = 4
+    """A valid distance that its mode cannot measure."""
+    SIGMA = 5
+    """Something is there, but its distance cannot be measured."""
+    HARDWARE = 6
+    """It reports a failure of its own, or an unknown status."""
+    FROZEN = 7
+    """It repeats one distance to the last bit."""
+    SELF_TEST = 8
+    """The device sends made-up numbers."""
+    CONTESTED = 9
+    """Two devices send frames of this ring."""
+    LINK = 10
+    """The ring's link is out of its limits, see `RingScan.problem`."""
+    UNSEEN_SELF_HIT = 11
+    """It does not see the robot where it must."""
 
 
 class RingHealth(enum.IntEnum):
@@ -44,7 +74,9 @@ class RingHealth(enum.IntEnum):
     BLIND = 1
     """Every working sensor is masked: nothing is known, reduce."""
     FAULTED = 2
-    """Too many sensors faulted, or never any scan: stop."""
+    """A sensor faulted for too long, many at once, or never any scan: stop."""
+    DEGRADED = 3
+    """A sensor is declared dead: reduce."""
 
 
 class _Frozen:
@@ -85,7 +117,11 @@ class RingScan(_Frozen):
     status: np.ndarray = dc.field(
         default_factory=lambda: np.empty(0, dtype=np.uint8)
     )
-    """Range status (ST API numbers; 253 bus failure, 254 no new data)."""
+    """Range status (ST API numbers; 253 bus failure, 254 no new data; the
+    host's own 240 frozen, 241 self-test, 242 contested)."""
+    problem: str = ""
+    """Why none of this ring's samples may be used, with the figures, e.g.
+    "period 37 ms, configured 24 ms"; empty: nothing is wrong."""
 
 
 @dc.dataclass(frozen=True, eq=False, kw_only=True)

@@ -26,6 +26,11 @@ STATUS_OUT_OF_BOUNDS = 4
 STATUS_HARDWARE_FAIL = 5
 STATUS_WRAP_AROUND = 7
 STATUS_PROCESSING_FAIL = 8
+# From here on the numbers are this project's own: first what the host finds
+# in a sample, then what a device reports.
+STATUS_FROZEN = 240
+STATUS_SELF_TEST = 241
+STATUS_CONTESTED = 242
 STATUS_BUS_FAILURE = 253
 STATUS_NO_NEW_DATA = 254
 STATUS_NONE = 255
