@@ -5,7 +5,12 @@ from pydrake.geometry import SceneGraph
 from pydrake.systems.framework import Diagram, DiagramBuilder
 from pydrake.systems.primitives import Multiplexer
 
-from tofssm_drake.diagrams.scenario import Scenario, get_links, make_law
+from tofssm_drake.diagrams.scenario import (
+    Scenario,
+    find_dead_sensors,
+    get_links,
+    make_law,
+)
 from tofssm_drake.geometry.ray_caster import RayCaster
 from tofssm_drake.messages import RINGS
 from tofssm_drake.robot.kinematics import RingKinematics
@@ -260,6 +265,7 @@ def _add_mask(
             config=scenario.mask,
             caster=caster,
             period=scenario.control_period,
+            is_dead=find_dead_sensors(scenario),
             masks_periodically=masks_periodically,
             bundles=make_mask_bundles(
                 config=scenario.mask,

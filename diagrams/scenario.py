@@ -5,6 +5,7 @@ import difflib
 from importlib import resources
 import pathlib
 
+import numpy as np
 from pydrake.common.yaml import yaml_dump_typed, yaml_load_typed
 import yaml
 
@@ -87,6 +88,11 @@ class Scenario:
     # system and cost one cast. Other values let them take turns.
     ring_phases: list[float] = dc.field(default_factory=lambda: [0.0, 0.0, 0.0])
 
+    # Sensors that are known to be dead, by ring: `{tool: [3]}`. They are
+    # dropped, and the robot is never faster than reduced. Without this a
+    # sensor that fails stops the robot.
+    dead_sensors: dict[str, list[int]] = dc.field(default_factory=dict)
+
     # Which readings are the robot's own.
     mask: OcclusionMaskConfig = dc.field(default_factory=OcclusionMaskConfig)
 
@@ -143,6 +149,7 @@ class Scenario:
             f"{at}ring_phases: {self.ring_phases} must be three times of 0 s "
             "or more, of the rings base, elbow and tool",
         )
+        self._check_dead_sensors(f"{at}dead_sensors")
         require(
             self.sensing in SENSINGS,
             f"{at}sensing: {self.sensing!r} is unknown, use one of "
@@ -154,6 +161,22 @@ class Scenario:
                 value.check(f"{at}{field.name}")
         self._check_ticks(at)
 
+    def _check_dead_sensors(self, at):
+        """Raises UserError unless there are such sensors, and others left."""
+        n = self.sensors_per_ring
+        for ring, sensors in self.dead_sensors.items():
+            require(
+                ring in RINGS,
+                f"{at}: there is no ring {ring!r}, use one of "
+                f"{', '.join(RINGS)}",
+            )
+            require(
+                all(isinstance(i, int) and 0 <= i < n for i in sensors)
+                and len(set(sensors)) == len(sensors) < n,
+                f"{at}.{ring}: {sensors} must be different numbers from 0 to "
+                f"{n - 1}, and not all of them",
+            )
+
     def _check_ticks(self, at):
         """Raises UserError unless plant steps make up control ticks."""
         tick = self.control_period
@@ -163,6 +186,14 @@ class Scenario:
             f"{at}robot.time_step: control_period ({tick}) must be a multiple "
             f"of it, got {self.robot.time_step}",
         )
+
+
+def find_dead_sensors(scenario: Scenario) -> np.ndarray:
+    """Returns whether each sensor is declared dead, ring by ring, (N,)."""
+    is_dead = np.zeros((len(RINGS), scenario.sensors_per_ring), dtype=bool)
+    for ring, sensors in scenario.dead_sensors.items():
+        is_dead[RINGS.index(ring), sensors] = True
+    return is_dead.ravel()
 
 
 def get_links(scenario: Scenario) -> tuple[str, ...]:

@@ -65,6 +65,26 @@ class SensorFault(enum.IntEnum):
     """The ring's link is out of its limits, see `RingScan.problem`."""
     UNSEEN_SELF_HIT = 11
     """It does not see the robot where it must."""
+    DEAD = 12
+    """Declared dead in the scenario: dropped, the robot is slow."""
+
+
+FAULT_NAMES = {
+    SensorFault.NONE: "",
+    SensorFault.BUS: "bus",
+    SensorFault.NO_DATA: "no new data",
+    SensorFault.LATE: "late",
+    SensorFault.IMPLAUSIBLE: "implausible",
+    SensorFault.SIGMA: "sigma",
+    SensorFault.HARDWARE: "hardware",
+    SensorFault.FROZEN: "frozen",
+    SensorFault.SELF_TEST: "self-test",
+    SensorFault.CONTESTED: "contested",
+    SensorFault.LINK: "link",
+    SensorFault.UNSEEN_SELF_HIT: "unseen self-hit",
+    SensorFault.DEAD: "declared dead",
+}
+"""What lines and reports call the faults."""
 
 
 class RingHealth(enum.IntEnum):
@@ -147,6 +167,21 @@ class MaskedScan(_Frozen):
         default_factory=lambda: np.empty(0, dtype=np.uint8)
     )
     """`Reading` of each sensor, shape (n,)."""
+    fault: np.ndarray = dc.field(
+        default_factory=lambda: np.empty(0, dtype=np.uint8)
+    )
+    """`SensorFault` of each sensor, shape (n,)."""
+    healthy_time: np.ndarray = dc.field(default_factory=lambda: np.empty(0))
+    """When each sensor's last sample without a fault was taken, s, (n,);
+    -inf: there was none."""
+    no_returns: np.ndarray = dc.field(
+        default_factory=lambda: np.empty(0, dtype=np.int64)
+    )
+    """Samples in a row in which nothing came back, (n,)."""
+    unmeasured: np.ndarray = dc.field(
+        default_factory=lambda: np.empty(0, dtype=np.int64)
+    )
+    """Samples in a row with a target but no distance, (n,)."""
     self_nearest: np.ndarray = dc.field(default_factory=lambda: np.empty(0))
     """Nearest hit of each sensor's rays on the twin, m, (n,); inf: none, or
     not looked for, since the sample is no distance."""
@@ -193,7 +228,10 @@ class Separation(_Frozen):
     health: np.ndarray
     """`RingHealth` of each link's sensing, (m,)."""
     count: np.ndarray
-    """Sensors per `Reading` (clear, valid, masked, faulted), (m, 4)."""
+    """Sensors that are clear, valid (or held), masked, faulted, (m, 4)."""
+    problem: tuple[str, ...] = ()
+    """What is wrong with each link's sensing, e.g. "sensor 3: bus", (m,);
+    empty: nothing is, or nobody can tell."""
 
 
 @dc.dataclass(frozen=True, eq=False, kw_only=True)
@@ -218,6 +256,8 @@ class SafetyIndex(_Frozen):
     """Threshold of the reduced distance, (m,)."""
     health: np.ndarray
     """`RingHealth`, (m,)."""
+    problem: tuple[str, ...] = ()
+    """As in `Separation`."""
 
 
 @dc.dataclass(frozen=True, eq=False, kw_only=True)

@@ -257,7 +257,7 @@ class TestRingReceiver(unittest.TestCase):
         )
         self.assertEqual(receiver.counts.late, 1)
         # The mask takes samples of that age for faulted.
-        reading, _ = classify_readings(
+        reading, *_ = classify_readings(
             scan.distance,
             scan.status,
             scan.time - scan.sensor_time,

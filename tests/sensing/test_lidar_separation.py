@@ -12,7 +12,7 @@ from tofssm_drake.errors import UserError
 from tofssm_drake.messages import LidarScan, Reading, RingHealth
 import tofssm_drake.sensing.lidar_separation as mut
 
-CLEAR, VALID, MASKED, FAULTED = Reading
+CLEAR, VALID, MASKED, FAULTED, HELD = Reading
 N = 360
 ANGLES = np.radians(np.arange(N) - 180.0)
 NOTHING = np.full(N, np.inf)

@@ -19,13 +19,19 @@ from pydrake.systems.analysis import Simulator
 from tofssm_drake.errors import UserError
 from tofssm_drake.geometry.fan import make_cone_fan
 from tofssm_drake.geometry.ray_caster import RayCaster
-from tofssm_drake.messages import RINGS, MaskedScan, Reading, RingScan
+from tofssm_drake.messages import (
+    RINGS,
+    MaskedScan,
+    Reading,
+    RingScan,
+    SensorFault,
+)
 import tofssm_drake.sensing.occlusion_mask as mut
 from tofssm_drake.sensing.readings import calc_self_interval, classify_readings
 from tofssm_drake.sensing.ring_mount import RingMount
 from tofssm_drake.sensing.tof_rings import TofRingConfig
 
-CLEAR, VALID, MASKED, FAULTED = Reading
+CLEAR, VALID, MASKED, FAULTED, HELD = Reading
 RADIUS = 0.1
 
 
@@ -367,7 +373,8 @@ class TestMaskScan(unittest.TestCase):
         fourth = self.mask(
             make_scan(3.0, status=254, sequence=3, time=1.096), before=third
         )
-        self.assertEqual(fourth.reading[0], FAULTED)
+        self.assertEqual(fourth.fault[0], SensorFault.LATE)
+        self.assertEqual(fourth.reading[0], HELD)
         self.assertEqual(fourth.reading[1], CLEAR)
         # And when it is back, there is no sample before.
         fifth = self.mask(make_scan(0.6, sequence=4, time=1.12), before=fourth)
@@ -415,8 +422,11 @@ def mask_in_full(config, *, scan, before, time, table, cell, ring):
         scan.distance.copy(),
         scan.status.copy(),
     )
-    if not nobody:
-        held = status == 254
+    held = status == 254
+    if nobody:
+        sensor_time[held] = -np.inf
+        distance[held] = np.nan
+    else:
         sensor_time[held] = before.scan.sensor_time[held]
         distance[held] = before.scan.distance[held]
         status[held] = before.scan.status[held]
@@ -438,7 +448,7 @@ def mask_in_full(config, *, scan, before, time, table, cell, ring):
 
     def classify(looks):
         nearest, farthest = calc_self_interval(np.hstack(looks))
-        reading, reckoned = classify_readings(
+        reading, fault, counted = classify_readings(
             distance,
             status,
             time - sensor_time,
@@ -449,10 +459,10 @@ def mask_in_full(config, *, scan, before, time, table, cell, ring):
             config.max_range,
             config.max_age,
         )
-        return reading, reckoned, nearest, farthest
+        return reading, fault, counted, nearest, farthest
 
     moves = np.abs(reports[:, 7:13]).max() > 0.05
-    reading, reckoned, nearest, farthest = classify(
+    reading, fault, counted, nearest, farthest = classify(
         looks if moves else looks[:1]
     )
     same = not nobody and sensor_time == before.scan.sensor_time
@@ -468,15 +478,20 @@ def mask_in_full(config, *, scan, before, time, table, cell, ring):
         previous_time = np.where(
             same, before.previous_time, before.scan.sensor_time
         )
-    return MaskedScan(
+    sample_time = sensor_time.copy()
+    result = MaskedScan(
         scan=RingScan(
             sequence=scan.sequence,
             time=scan.time,
             sensor_time=sensor_time,
-            distance=reckoned,
+            distance=counted,
             status=status,
         ),
         reading=reading,
+        fault=fault,
+        healthy_time=np.full(n, -np.inf),
+        no_returns=np.zeros(n, dtype=int),
+        unmeasured=np.zeros(n, dtype=int),
         self_nearest=nearest,
         self_farthest=farthest,
         previous_distance=previous_distance,
@@ -484,6 +499,58 @@ def mask_in_full(config, *, scan, before, time, table, cell, ring):
         position=reports[:, 1:7],
         velocity=reports[:, 7:13],
     )
+    for i in range(n):
+        remember_in_full(
+            config,
+            result,
+            None if nobody else before,
+            i,
+            is_new=nobody
+            or (
+                sample_time[i] > before.healthy_time[i]
+                and sample_time[i] != before.scan.sensor_time[i]
+            ),
+            now=time,
+            report=table[-1],
+        )
+    return result
+
+
+def remember_in_full(config, result, before, i, *, is_new, now, report):
+    """Writes what is remembered of sensor i, the straightforward way."""
+    arrays = {**vars(result.scan), **vars(result)}
+    for array in arrays.values():
+        if isinstance(array, np.ndarray):
+            array.setflags(write=True)
+    is_good = result.fault[i] == SensorFault.NONE
+    is_clear = is_good and result.reading[i] == CLEAR
+    is_sigma = result.fault[i] == SensorFault.SIGMA
+    if before is not None:
+        result.healthy_time[i] = before.healthy_time[i]
+        if is_clear:
+            result.no_returns[i] = before.no_returns[i] + is_new
+        if is_sigma:
+            result.unmeasured[i] = before.unmeasured[i] + is_new
+    else:
+        result.no_returns[i] = is_clear
+        result.unmeasured[i] = is_sigma
+    if is_good:
+        result.healthy_time[i] = result.scan.sensor_time[i]
+    must_hold = not is_good or (is_clear and result.no_returns[i] < 2)
+    if must_hold and before is not None and before.reading[i] in (VALID, HELD):
+        result.reading[i] = HELD
+        result.scan.sensor_time[i] = before.scan.sensor_time[i]
+        result.scan.distance[i] = before.scan.distance[i]
+        result.previous_distance[i] = before.previous_distance[i]
+        result.previous_time[i] = before.previous_time[i]
+    elif result.unmeasured[i] >= 2:
+        result.reading[i] = HELD
+        result.scan.sensor_time[i] = now
+        result.scan.distance[i] = 0.0
+        result.previous_distance[i] = np.nan
+    if result.reading[i] == HELD:
+        result.position[i] = report[1:7]
+        result.velocity[i] = report[7:13]
 
 
 class TestMaskScans(unittest.TestCase):
@@ -512,7 +579,7 @@ class TestMaskScans(unittest.TestCase):
             sensor_time=sensor_time,
             distance=distance,
             status=rng.choice(
-                np.array([0, 0, 0, 0, 2, 3, 254, 255], dtype=np.uint8), n
+                np.array([0, 0, 0, 0, 1, 2, 3, 254, 255], dtype=np.uint8), n
             ),
         )
 
@@ -623,7 +690,7 @@ class TestMaskScans(unittest.TestCase):
             for seed in range(40):
                 with self.subTest(config=config, seed=seed):
                     self.check(seed, config)
-        self.assertEqual(self.seen, {CLEAR, VALID, MASKED, FAULTED})
+        self.assertEqual(self.seen, set(Reading))
 
     def test_sensors_that_see_nothing_cost_no_look(self):
         config = mut.OcclusionMaskConfig()

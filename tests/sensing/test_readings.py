@@ -1,13 +1,14 @@
+import math
 import unittest
 
 from hypothesis import given, settings
 from hypothesis import strategies as st
 import numpy as np
 
-from tofssm_drake.messages import Reading, RingHealth
+from tofssm_drake.messages import Reading, RingHealth, SensorFault
 import tofssm_drake.sensing.readings as mut
 
-CLEAR, VALID, MASKED, FAULTED = Reading
+CLEAR, VALID, MASKED, FAULTED, HELD = Reading
 
 
 def classify(
@@ -19,7 +20,7 @@ def classify(
     self_farthest=-np.inf,
     tolerance=0.03,
 ):
-    reading, reckoned = mut.classify_readings(
+    reading, _, counted = mut.classify_readings(
         np.array([distance], dtype=float),
         np.array([status], dtype=np.uint8),
         np.array([age]),
@@ -30,20 +31,45 @@ def classify(
         4.0,
         0.072,
     )
-    return Reading(reading[0]), reckoned[0]
+    return Reading(reading[0]), counted[0]
+
+
+# What ST's manuals say of each status, and this project's own.
+FAULT_OF_STATUS = {
+    **dict.fromkeys((0, 2, 3, 4, 7, 13), SensorFault.NONE),
+    **dict.fromkeys((1, 6, 9, 11, 12), SensorFault.SIGMA),
+    240: SensorFault.FROZEN,
+    241: SensorFault.SELF_TEST,
+    242: SensorFault.CONTESTED,
+    253: SensorFault.BUS,
+    254: SensorFault.NO_DATA,
+}
 
 
 class TestClassify(unittest.TestCase):
     def test_status(self):
         for status in range(256):
             reading, _ = classify(0.5, status)
-            if status in (0, 3):
+            if status in (0, 3, 13):
                 expected = VALID
             elif status in (2, 4, 7):
                 expected = CLEAR
             else:
                 expected = FAULTED
             self.assertEqual(reading, expected, status)
+
+    def test_fault_tells_the_cause(self):
+        for status in range(256):
+            self.assertEqual(
+                mut.find_fault(status, 0.02, 0.072),
+                FAULT_OF_STATUS.get(status, SensorFault.HARDWARE),
+                status,
+            )
+        for status in (0, 1, 2, 3, 8):
+            for age in (0.0721, np.inf, np.nan):
+                self.assertEqual(
+                    mut.find_fault(status, age, 0.072), SensorFault.LATE
+                )
 
     def test_no_return_keeps_no_arbitrary_millimetres_from_being_clear(self):
         for distance in (0.0, 0.01, 3.9, 65.535):
@@ -62,7 +88,7 @@ class TestClassify(unittest.TestCase):
         self.assertEqual(classify(4.0)[0], VALID)
 
     def test_nearer_than_can_be_measured_is_the_nearest_possible(self):
-        for distance, status in ((0.5, 3), (0.039, 0), (0.0, 0)):
+        for distance, status in ((0.5, 3), (0.5, 13), (0.039, 0), (0.0, 0)):
             self.assertEqual(classify(distance, status), (VALID, 0.0))
         self.assertEqual(classify(0.041), (VALID, 0.041))
 
@@ -107,7 +133,7 @@ class TestClassify(unittest.TestCase):
     def test_masked_iff_within_interval(
         self, distance, nearest, width, tolerance
     ):
-        reading, reckoned = classify(
+        reading, counted = classify(
             distance,
             self_nearest=nearest,
             self_farthest=nearest + width,
@@ -115,7 +141,7 @@ class TestClassify(unittest.TestCase):
         )
         within = nearest - tolerance <= distance <= nearest + width + tolerance
         self.assertEqual(reading, MASKED if within else VALID)
-        self.assertEqual(reckoned, distance)
+        self.assertEqual(counted, distance)
 
 
 class TestSelfInterval(unittest.TestCase):
@@ -128,27 +154,64 @@ class TestSelfInterval(unittest.TestCase):
 
 
 class TestRingHealth(unittest.TestCase):
+    def check(self, readings, expected, *, faulted_for=0.02, dead=0):
+        """Tests a ring of so many clear, valid, masked, faulted sensors."""
+        reading = np.repeat([CLEAR, VALID, MASKED, FAULTED], readings)
+        fault = np.where(reading == FAULTED, SensorFault.BUS, SensorFault.NONE)
+        times = np.where(reading == FAULTED, faulted_for, 0.02)
+        reading = np.append(reading, [FAULTED] * dead).astype(np.uint8)
+        fault = np.append(fault, [SensorFault.DEAD] * dead).astype(np.uint8)
+        times = np.append(times, [np.inf] * dead)
+        self.assertEqual(
+            mut.calc_ring_health(reading, fault, times, 0.3), expected
+        )
+
     def test_rule(self):
-        for clear, valid, masked, faulted, expected in (
-            (8, 0, 0, 0, RingHealth.HEALTHY),
-            (0, 0, 8, 0, RingHealth.BLIND),
-            (1, 0, 7, 0, RingHealth.HEALTHY),
-            (0, 1, 7, 0, RingHealth.HEALTHY),
-            (0, 0, 6, 2, RingHealth.BLIND),
-            (6, 0, 0, 2, RingHealth.HEALTHY),
-            (5, 0, 0, 3, RingHealth.FAULTED),
-            (0, 5, 0, 3, RingHealth.FAULTED),
-            (0, 0, 5, 3, RingHealth.FAULTED),
-            (0, 0, 0, 8, RingHealth.FAULTED),
-            (0, 0, 0, 1, RingHealth.FAULTED),
-            (0, 0, 0, 0, RingHealth.FAULTED),
+        for readings, expected in (
+            ((8, 0, 0, 0), RingHealth.HEALTHY),
+            ((0, 0, 8, 0), RingHealth.BLIND),
+            ((1, 0, 7, 0), RingHealth.HEALTHY),
+            ((0, 1, 7, 0), RingHealth.HEALTHY),
+            ((0, 0, 6, 2), RingHealth.BLIND),
+            ((4, 0, 0, 4), RingHealth.HEALTHY),
+            ((3, 0, 0, 5), RingHealth.FAULTED),
+            ((0, 0, 3, 5), RingHealth.FAULTED),
+            ((0, 0, 0, 8), RingHealth.FAULTED),
+            ((0, 0, 0, 0), RingHealth.FAULTED),
         ):
-            count = np.array([clear, valid, masked, faulted])
-            self.assertEqual(mut.calc_ring_health(count, 2), expected, count)
+            with self.subTest(readings=readings):
+                self.check(readings, expected)
+
+    def test_one_sensor_faulted_for_too_long(self):
+        for faulted_for, expected in (
+            (0.299, RingHealth.HEALTHY),
+            (0.301, RingHealth.FAULTED),
+            (np.inf, RingHealth.FAULTED),
+            (np.nan, RingHealth.FAULTED),
+        ):
+            self.check((7, 0, 0, 1), expected, faulted_for=faulted_for)
+
+    def test_sensors_declared_dead(self):
+        self.check((7, 0, 0, 0), RingHealth.DEGRADED, dead=1)
+        self.check((0, 0, 7, 0), RingHealth.BLIND, dead=1)
+        self.check((3, 0, 0, 4), RingHealth.FAULTED, dead=1)
+        self.check((0, 0, 0, 0), RingHealth.FAULTED, dead=8)
+        self.check((6, 0, 0, 1), RingHealth.FAULTED, dead=1, faulted_for=0.4)
 
     def test_count(self):
-        reading = np.array([0, 3, 1, 2, 2, 3, 3, 0], dtype=np.uint8)
-        np.testing.assert_array_equal(mut.count_readings(reading), [2, 1, 2, 3])
+        reading = np.array([0, 3, 1, 2, 2, 3, 4, 0], dtype=np.uint8)
+        np.testing.assert_array_equal(mut.count_readings(reading), [2, 2, 2, 2])
+
+    def test_how_often_lost_samples_stop_the_robot(self):
+        """The figures beside SeparationConfig.fault_time."""
+        scans_per_s, sensors, year = 3 / 0.024, 8, 365 * 86400
+        # One sensor 12 times in a row, or more than half of a ring at once.
+        in_a_row = scans_per_s * sensors * 0.1**12 * 0.9
+        self.assertAlmostEqual(1 / in_a_row / year, 35.2, places=1)
+        at_once = scans_per_s * sum(
+            math.comb(8, k) * 0.01**k * 0.99 ** (8 - k) for k in range(5, 9)
+        )
+        self.assertAlmostEqual(1 / at_once / 86400, 17.0, places=1)
 
 
 if __name__ == "__main__":

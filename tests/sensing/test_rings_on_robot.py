@@ -37,7 +37,6 @@ from tofssm_drake.sensing.readings import (
     calc_ring_health,
     calc_self_interval,
     classify_readings,
-    count_readings,
 )
 import tofssm_drake.sensing.ring_mount as mut
 from tofssm_drake.sensing.separation import (
@@ -160,7 +159,7 @@ class TestReadingsOfTheRobotItself(unittest.TestCase):
                     ),
                 )
                 nearest, farthest = calc_self_interval(rays)
-                reading, _ = classify_readings(
+                reading, fault, _ = classify_readings(
                     distance,
                     status,
                     np.zeros(8),
@@ -173,7 +172,7 @@ class TestReadingsOfTheRobotItself(unittest.TestCase):
                 )
                 self.assertNotIn(Reading.VALID, reading)
                 self.assertEqual(
-                    calc_ring_health(count_readings(reading), 2),
+                    calc_ring_health(reading, fault, np.zeros(8), 0.3),
                     RingHealth.HEALTHY,
                 )
                 seen += (reading == Reading.MASKED).sum()

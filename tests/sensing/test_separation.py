@@ -16,11 +16,12 @@ from tofssm_drake.messages import (
     Reading,
     RingHealth,
     RingScan,
+    SensorFault,
 )
 import tofssm_drake.sensing.separation as mut
 from tofssm_drake.ssm.distances import calc_directed_speeds
 
-CLEAR, VALID, MASKED, FAULTED = Reading
+CLEAR, VALID, MASKED, FAULTED, HELD = Reading
 RADIUS = 0.08
 ZEROS = np.zeros(6)
 
@@ -60,8 +61,10 @@ def make_masked_scan(
     previous=None,
     q=ZEROS,
     qd=ZEROS,
+    faulted_for=0.024,
 ):
     n = len(distance)
+    is_faulted = np.array(reading) == FAULTED
     time = np.broadcast_to(np.asarray(time, dtype=float), n).copy()
     return MaskedScan(
         scan=RingScan(
@@ -72,6 +75,8 @@ def make_masked_scan(
             status=np.zeros(n, dtype=np.uint8),
         ),
         reading=np.array(reading, dtype=np.uint8),
+        fault=np.where(is_faulted, SensorFault.BUS, SensorFault.NONE),
+        healthy_time=time - is_faulted * faulted_for,
         self_nearest=np.full(n, np.inf),
         self_farthest=np.full(n, -np.inf),
         previous_distance=np.array(
@@ -108,7 +113,7 @@ class TestConfig(unittest.TestCase):
         for name, bad in (
             ("V_hmax", -1.0),
             ("max_gap", np.nan),
-            ("max_faulted_sensors", -1),
+            ("fault_time", -1.0),
         ):
             with self.assertRaisesRegex(UserError, f"here.{name}: .*use"):
                 mut.SeparationConfig(**{name: bad}).check("here")
@@ -238,6 +243,7 @@ class TestLinkRow(unittest.TestCase):
                 [CLEAR, MASKED, FAULTED],
                 time=[1.0, 1.01, 0.5],
                 qd=qd,
+                faulted_for=-0.4,
             )
         )
         self.assertEqual(dut.distance[0], np.inf)
@@ -263,10 +269,62 @@ class TestLinkRow(unittest.TestCase):
         reading = [CLEAR] * 7 + [FAULTED]
         dut = calc_row(make_masked_scan([0.3] * 8, reading))
         self.assertEqual(dut.health[0], RingHealth.HEALTHY)
-        dut = calc_row(
-            make_masked_scan([0.3] * 8, reading), max_faulted_sensors=0
-        )
+        dut = calc_row(make_masked_scan([0.3] * 8, reading, faulted_for=0.3))
         self.assertEqual(dut.health[0], RingHealth.FAULTED)
+        dut = calc_row(make_masked_scan([0.3] * 8, reading), fault_time=0.02)
+        self.assertEqual(dut.health[0], RingHealth.FAULTED)
+
+    def test_a_problem_of_the_link_is_a_fault(self):
+        masked_scan = make_masked_scan([0.3] * 8, [CLEAR] * 8)
+        masked_scan = dc.replace(
+            masked_scan,
+            scan=dc.replace(masked_scan.scan, problem="period 37 ms"),
+        )
+        self.assertEqual(calc_row(masked_scan).health[0], RingHealth.FAULTED)
+
+    def test_what_is_held_closes_in(self):
+        # Measured 0.115 s ago with 3 m/s, and the robot stands still.
+        masked_scan = make_masked_scan(
+            [0.3, 0.9, 1.0], [CLEAR, HELD, VALID], previous=[np.nan, 0.972, 1.0]
+        )
+        masked_scan = dc.replace(
+            masked_scan, scan=dc.replace(masked_scan.scan, time=1.115)
+        )
+        dut = calc_row(masked_scan)
+        self.assertEqual(dut.sensor[0], 1)
+        self.assertAlmostEqual(dut.distance[0], RADIUS + 0.9 - 3.3 * 0.115)
+        self.assertAlmostEqual(dut.k_o[0], 3.0)
+        # No younger than what else the ring rests on.
+        self.assertEqual(dut.time[0], 1.0)
+        # One that went away counts as a person nobody watches.
+        dut = calc_row(
+            dc.replace(masked_scan, previous_distance=np.array([0.1] * 3))
+        )
+        self.assertAlmostEqual(dut.k_o[0], 1.6)
+        # Nearer than 0 it does not come.
+        dut = calc_row(
+            dc.replace(masked_scan, scan=dc.replace(masked_scan.scan, time=9.0))
+        )
+        self.assertEqual(dut.distance[0], RADIUS)
+
+    def test_describes_problems(self):
+        masked_scan = make_masked_scan([0.3] * 8, [CLEAR] * 8)
+        fault = np.zeros(8, dtype=np.uint8)
+        for sensors, text in (
+            ({}, ""),
+            ({3: 1}, "sensor 3: bus"),
+            ({3: 7, 4: 7, 6: 1}, "sensor 6: bus; sensors 3, 4: frozen"),
+            (dict.fromkeys(range(8), 3), "all sensors: late"),
+        ):
+            fault[:] = 0
+            for i, cause in sensors.items():
+                fault[i] = cause
+            self.assertEqual(
+                mut.describe_problem(
+                    dc.replace(masked_scan, fault=fault.copy())
+                ),
+                text,
+            )
 
     sensors = st.lists(
         st.tuples(
@@ -291,12 +349,15 @@ class TestLinkRow(unittest.TestCase):
             ),
             literal=literal,
         )
-        valid = distance[reading == VALID]
-        if len(valid):
+        # Measured 0.015 s ago.
+        nearer = np.maximum(distance - 3.3 * 0.015, 0.0)
+        counted = np.where(reading == HELD, nearer, distance)
+        obstacles = counted[(reading == VALID) | (reading == HELD)]
+        if len(obstacles):
             self.assertAlmostEqual(
-                dut.distance[0], RADIUS + valid.min(), delta=1e-12
+                dut.distance[0], RADIUS + obstacles.min(), delta=1e-12
             )
-            self.assertEqual(reading[dut.sensor[0]], VALID)
+            self.assertIn(reading[dut.sensor[0]], (VALID, HELD))
             self.assertAlmostEqual(np.linalg.norm(dut.direction[0]), 1.0)
         else:
             self.assertEqual(dut.distance[0], np.inf)
@@ -309,7 +370,8 @@ class TestLinkRow(unittest.TestCase):
     @given(sensors=sensors, worse=st.floats(0.0, 4.0), data=st.data())
     def test_dropped_sensors_never_matter(self, sensors, worse, data):
         distance, reading, previous = map(np.array, zip(*sensors, strict=True))
-        changed = np.where(reading == VALID, distance, worse)
+        is_obstacle = (reading == VALID) | (reading == HELD)
+        changed = np.where(is_obstacle, distance, worse)
         one = calc_row(make_masked_scan(distance, reading, previous=previous))
         two = calc_row(make_masked_scan(changed, reading, previous=previous))
         for field in dc.fields(one):

@@ -776,7 +776,7 @@ def make_reading_image(
     last = np.searchsorted(time, edges[1:])
     out_distance = np.full((n, columns), np.nan)
     out_reading = np.full((n, columns), -1, dtype=int)
-    rank = np.array([0, 3, 1, 2])  # Clear, valid, masked, faulted.
+    rank = np.array([0, 3, 1, 2, 4])  # Clear, valid, masked, faulted, held.
     for c in range(columns):
         a, b = first[c], last[c]
         if a == b:
@@ -786,7 +786,8 @@ def make_reading_image(
         part = reading[a:b]
         row = np.argmax(rank[part], axis=0)
         out_reading[:, c] = part[row, np.arange(n)]
-        valid = np.where(part == Reading.VALID, distance[a:b], np.inf)
+        is_near = (part == Reading.VALID) | (part == Reading.HELD)
+        valid = np.where(is_near, distance[a:b], np.inf)
         nearest = valid.min(axis=0)
         out_distance[:, c] = np.where(np.isfinite(nearest), nearest, np.nan)
     return out_distance, out_reading

@@ -21,10 +21,11 @@ from tofssm_drake.leaf_system import DID_NOTHING, SUCCEEDED, LeafSystem
 from tofssm_drake.messages import (
     LidarScan,
     Reading,
+    RingHealth,
     Separation,
     make_empty_separation,
 )
-from tofssm_drake.sensing.readings import calc_ring_health, count_readings
+from tofssm_drake.sensing.readings import count_readings
 from tofssm_drake.sensing.separation import (
     lay_out_separation,
     make_columns,
@@ -208,6 +209,22 @@ class _Classified:
         return self
 
 
+def calc_lidar_health(count: np.ndarray, max_faulted: int) -> RingHealth:
+    """Tells whether a lidar's scan can be trusted.
+
+    FAULTED when more rays are faulted than allowed, or there are none; BLIND
+    when every ray that works is masked.
+
+    Args:
+        count: Rays that are clear, valid, masked, faulted, (4,).
+        max_faulted: How many may be faulted at a time.
+    """
+    working = count[_CLEAR] + count[_VALID] + count[_MASKED]
+    if count[_FAULTED] > max_faulted or working == 0:
+        return RingHealth.FAULTED
+    return RingHealth.BLIND if count[_MASKED] == working else RingHealth.HEALTHY
+
+
 def calc_lidar_separation(
     *,
     config: LidarSeparationConfig,
@@ -239,7 +256,7 @@ def calc_lidar_separation(
     """
     speed = float(np.linalg.norm(v_WT))
     count = count_readings(reading)
-    health = calc_ring_health(
+    health = calc_lidar_health(
         count, int(config.max_faulted_share * len(reading))
     )
     ray = find_nearest(scan.ranges, reading)

@@ -23,7 +23,14 @@ from tofssm_drake.leaf_system import (
     SUCCEEDED,
     LeafSystem,
 )
-from tofssm_drake.messages import RINGS, MaskedScan, Reading, RingScan
+from tofssm_drake.messages import (
+    RINGS,
+    MaskedScan,
+    Reading,
+    RingScan,
+    SensorFault,
+)
+from tofssm_drake.sensing.memory import SensorMemoryConfig, hold_obstacles
 from tofssm_drake.sensing.readings import (
     calc_self_interval,
     classify_readings,
@@ -69,9 +76,13 @@ class OcclusionMaskConfig:
     # target is as near as possible.
     min_range: float = 0.040
 
-    # A reading beyond this distance is implausible, m: no mode of the sensor
-    # reaches farther.
-    max_range: float = 4.0
+    # A valid distance beyond this is implausible, m: the sensors' short mode
+    # measures up to 1.36 m, and 0.09 m more leave room for offset, scale and
+    # noise at that distance.
+    max_range: float = 1.45
+
+    # What a sensor saw before it failed, or stopped seeing it.
+    memory: SensorMemoryConfig = dc.field(default_factory=SensorMemoryConfig)
 
     # A sample older than this is stale and the sensor faulted, s (*assumed*:
     # three periods of a ring).
@@ -91,6 +102,7 @@ class OcclusionMaskConfig:
         check_range(where, "min_range", self.min_range, 0.0, 0.2)
         check_range(where, "max_range", self.max_range, 0.1, 65.0)
         check_range(where, "max_age", self.max_age, 0.001, 10.0)
+        self.memory.check(f"{where}.memory")
 
 
 def make_mask_bundles(
@@ -152,7 +164,11 @@ class Twin(Protocol):
         """Returns X_WF of the mask's ray caster's frames, (frames, 3, 4)."""
 
 
+_CLEAR = int(Reading.CLEAR)
 _VALID = int(Reading.VALID)
+_HELD = int(Reading.HELD)
+_NO_FAULT = int(SensorFault.NONE)
+_DEAD = int(SensorFault.DEAD)
 _EDGE_RAYS = 16
 
 # A robot this slow does not move by a millimetre within the time margin,
@@ -220,81 +236,102 @@ def interpolate_reports(table, time):
 
 # Rows of the table of all rings' samples.
 _NEAREST, _FARTHEST, _PREVIOUS_DISTANCE, _PREVIOUS_TIME = 0, 1, 2, 3
-_SENSOR_TIME, _DISTANCE, _STATUS, _RECKONED, _MOVES = 4, 5, 6, 7, 8
-_ROWS = 9
+_SENSOR_TIME, _DISTANCE, _STATUS, _COUNTED, _MOVES = 4, 5, 6, 7, 8
+# What the scan before left: its distance and time, whether it was an
+# obstacle, when the sensor was last without a fault.
+_BEFORE_DISTANCE, _BEFORE_TIME, _HAD_OBSTACLE, _HEALTHY_TIME = 9, 10, 11, 12
+_BEFORE_PREVIOUS_DISTANCE, _BEFORE_PREVIOUS_TIME = 13, 14
+_ROWS = 15
+
+# Rows of the table of what is told of each sensor, and how often in a row.
+_READING, _FAULT, _NO_RETURNS, _UNMEASURED = 0, 1, 2, 3
+_TOLD_ROWS = 4
 
 
 @functools.cache
 def _make_no_samples(num_sensors):
-    """Returns the table of samples without any, (9, num_sensors)."""
+    """Returns the table of samples without any, (15, num_sensors)."""
     samples = np.zeros((_ROWS, num_sensors))
     samples[_SENSOR_TIME] = -np.inf
     samples[_PREVIOUS_DISTANCE] = np.nan
     samples[_PREVIOUS_TIME] = -np.inf
+    samples[_BEFORE_TIME] = -np.inf
+    samples[_HEALTHY_TIME] = -np.inf
     samples[_NEAREST] = np.inf
     samples[_FARTHEST] = -np.inf
     return samples
 
 
+# Rows of what the scan before told of a ring's sensors.
+_WAS_TIME, _WAS_DISTANCE, _WAS_STATUS, _WAS_READING = 0, 1, 2, 3
+_WAS_PREVIOUS_DISTANCE, _WAS_PREVIOUS_TIME, _WAS_HEALTHY_TIME = 4, 5, 6
+_WAS_NO_RETURNS, _WAS_UNMEASURED = 7, 8
+
+
+def _stack_before(before):
+    """Returns what the scan before told, (9, n); n = 0: there was none."""
+    return np.array(
+        [
+            before.scan.sensor_time,
+            before.scan.distance,
+            before.scan.status,
+            before.reading,
+            before.previous_distance,
+            before.previous_time,
+            before.healthy_time,
+            before.no_returns,
+            before.unmeasured,
+        ],
+        dtype=float,
+    )
+
+
 @njit(cache=True)
-def _hold_samples(
-    samples,
-    first,
-    sensor_time,
-    distance,
-    status,
-    before_time,
-    before_distance,
-    before_status,
-    before_reading,
-    before_previous_distance,
-    before_previous_time,
-):
-    """Writes a ring's new samples and those before them.
+def _load_ring(samples, told, first, new, was):
+    """Writes a ring's new samples and what is remembered of those before.
 
     The sample before stands in place of "no new data": a ring may fire its
     sensors in turns, or a sensor may take longer; its last sample then
     stands, with its own time, until it is too old.
 
     Args:
-        samples: the table, (9, N).
-        first: the ring's first sensor in the table.
-        sensor_time: of the new samples, s, (n,).
-        distance: those, m, (n,).
-        status: of those, (n,).
-        before_time: of the samples in the scan before, s, (n,); all empty
-            if there was none.
-        before_distance: those, m, (n,).
-        before_status: of those, (n,).
-        before_reading: what they meant, (n,).
-        before_previous_distance: the samples before those, m, (n,); NaN where
-            it was not VALID.
-        before_previous_time: when they were, s, (n,).
+        samples: the table, (15, N).
+        told: how often in a row sensors told the same, (4, N).
+        first: the ring's first sensor in the tables.
+        new: time, s, distance, m, and status of the new samples, (3, n).
+        was: see `_stack_before`, (9, n or 0).
 
     Returns:
         Whether a sample before stands.
     """
     some_held = False
-    for j in range(sensor_time.shape[0]):
+    for j in range(was.shape[1]):
         i = first + j
-        samples[_SENSOR_TIME, i] = sensor_time[j]
-        samples[_DISTANCE, i] = distance[j]
-        samples[_STATUS, i] = status[j]
-        if before_reading.shape[0] == 0:
-            continue
-        if status[j] == STATUS_NO_NEW_DATA:
+        samples[_SENSOR_TIME, i] = new[0, j]
+        samples[_DISTANCE, i] = new[1, j]
+        samples[_STATUS, i] = new[2, j]
+        if new[2, j] == STATUS_NO_NEW_DATA:
             some_held = True
-            samples[_SENSOR_TIME, i] = before_time[j]
-            samples[_DISTANCE, i] = before_distance[j]
-            samples[_STATUS, i] = before_status[j]
-        if samples[_SENSOR_TIME, i] == before_time[j]:
+            samples[_SENSOR_TIME, i] = was[_WAS_TIME, j]
+            samples[_DISTANCE, i] = was[_WAS_DISTANCE, j]
+            samples[_STATUS, i] = was[_WAS_STATUS, j]
+        reading = was[_WAS_READING, j]
+        if samples[_SENSOR_TIME, i] == was[_WAS_TIME, j]:
             # A sample that is held has still the same one before it.
-            samples[_PREVIOUS_DISTANCE, i] = before_previous_distance[j]
-            samples[_PREVIOUS_TIME, i] = before_previous_time[j]
+            samples[_PREVIOUS_DISTANCE, i] = was[_WAS_PREVIOUS_DISTANCE, j]
+            samples[_PREVIOUS_TIME, i] = was[_WAS_PREVIOUS_TIME, j]
         else:
-            if before_reading[j] == _VALID:
-                samples[_PREVIOUS_DISTANCE, i] = before_distance[j]
-            samples[_PREVIOUS_TIME, i] = before_time[j]
+            if reading == _VALID:
+                samples[_PREVIOUS_DISTANCE, i] = was[_WAS_DISTANCE, j]
+            samples[_PREVIOUS_TIME, i] = was[_WAS_TIME, j]
+        samples[_BEFORE_DISTANCE, i] = was[_WAS_DISTANCE, j]
+        samples[_BEFORE_TIME, i] = was[_WAS_TIME, j]
+        samples[_BEFORE_PREVIOUS_DISTANCE, i] = was[_WAS_PREVIOUS_DISTANCE, j]
+        samples[_BEFORE_PREVIOUS_TIME, i] = was[_WAS_PREVIOUS_TIME, j]
+        samples[_HAD_OBSTACLE, i] = reading == _VALID or reading == _HELD
+        samples[_HEALTHY_TIME, i] = was[_WAS_HEALTHY_TIME, j]
+        told[_NO_RETURNS, i] = was[_WAS_NO_RETURNS, j]
+        told[_UNMEASURED, i] = was[_WAS_UNMEASURED, j]
     return some_held
 
 
@@ -303,7 +340,7 @@ def _report_motion(samples, table, n, motion):
     """Writes the robot's motion at each sample's time.
 
     Args:
-        samples: of rings of n sensors, (9, N); tells where the robot moves.
+        samples: of rings of n sensors, (15, N); tells where the robot moves.
         table: the robot's reports, see `make_robot_history`.
         n: sensors of a ring.
         motion: result, measured joints, rad, and their speeds, rad/s, both
@@ -328,24 +365,24 @@ def _report_motion(samples, table, n, motion):
 
 
 @njit(cache=True)
-def _classify(samples, time, limits, wider, reading, unsettled):
+def _classify(samples, time, limits, wider, told, unsettled):
     """Tells what each sample means by what was seen of the robot so far.
 
     Args:
-        samples: the table, (9, N); gets the distance to reckon with.
+        samples: the table, (15, N); gets the distance that counts.
         time: now, s.
         limits: tolerance, min_range, max_range and max_age of
             `classify_readings`.
         wider: whether only a look at another time can tell more, which it
             can where the robot moves.
-        reading: result, (N,).
+        told: result, rows of readings and faults, (4, N).
         unsettled: result, whether another look at the robot can change the
             reading, (N,): only VALID ones can become MASKED.
 
     Returns:
         Whether any is unsettled.
     """
-    result, samples[_RECKONED] = classify_readings(
+    reading, fault, samples[_COUNTED] = classify_readings(
         samples[_DISTANCE],
         samples[_STATUS],
         time - samples[_SENSOR_TIME],
@@ -356,7 +393,8 @@ def _classify(samples, time, limits, wider, reading, unsettled):
         limits[2],
         limits[3],
     )
-    reading[:] = result
+    told[_READING] = reading
+    told[_FAULT] = fault
     some = False
     for i in range(reading.shape[0]):
         unsettled[i] = (
@@ -374,10 +412,10 @@ def _classify(samples, time, limits, wider, reading, unsettled):
 
 
 @njit(cache=True)
-def _begin(samples, table, n, time, limits, motion, reading, unsettled):
+def _begin(samples, table, n, time, limits, motion, told, unsettled):
     """Fills in motion and readings before any look; returns `_classify`'s."""
     _report_motion(samples, table, n, motion)
-    return _classify(samples, time, limits, False, reading, unsettled)
+    return _classify(samples, time, limits, False, told, unsettled)
 
 
 @njit(cache=True)
@@ -385,7 +423,7 @@ def _begin_look(samples, table, shift, rest, which, report):
     """Takes the sensors that sampled at one time out of the rest.
 
     Args:
-        samples: the table, (9, N).
+        samples: the table, (15, N).
         table: the robot's reports, see `make_robot_history`.
         shift: how much later than at the sample to look at the robot, s.
         rest: the sensors to choose from, (N,); the chosen ones are taken out.
@@ -411,7 +449,7 @@ def _begin_look(samples, table, shift, rest, which, report):
 
 @njit(cache=True)
 def _end_look(
-    samples, which, self_distance, more, time, limits, reading, unsettled
+    samples, which, self_distance, more, time, limits, told, unsettled
 ):
     """Lets the self-hits of some sensors count, (N, k) m, inf for none.
 
@@ -423,7 +461,55 @@ def _end_look(
         if which[i]:
             samples[_NEAREST, i] = min(samples[_NEAREST, i], nearest[i])
             samples[_FARTHEST, i] = max(samples[_FARTHEST, i], farthest[i])
-    return more or _classify(samples, time, limits, True, reading, unsettled)
+    return more or _classify(samples, time, limits, True, told, unsettled)
+
+
+@njit(cache=True)
+def _remember(samples, told, time, report, is_dead, memory, motion):
+    """Lets obstacles that sensors saw before count on, see `hold_obstacles`.
+
+    Args:
+        samples: the table, (15, N); HELD sensors get the sample before.
+        told: readings, faults and how often in a row, (4, N); changed.
+        time: now, s.
+        report: what the robot reported last, (15,).
+        is_dead: whether each sensor is declared dead, (N,).
+        memory: clear_samples, sigma_samples.
+        motion: of the robot, (2, N, 6); HELD sensors get that of now.
+    """
+    for i in range(told.shape[1]):
+        if is_dead[i]:
+            told[_FAULT, i] = _DEAD
+    is_new = (samples[_SENSOR_TIME] > samples[_HEALTHY_TIME]) & (
+        samples[_SENSOR_TIME] != samples[_BEFORE_TIME]
+    )
+    is_nearest = hold_obstacles(
+        told[_READING],
+        told[_FAULT],
+        is_new,
+        samples[_HAD_OBSTACLE] > 0.0,
+        told[_NO_RETURNS],
+        told[_UNMEASURED],
+        memory[0],
+        memory[1],
+    )
+    for i in range(told.shape[1]):
+        if told[_FAULT, i] == _NO_FAULT:
+            samples[_HEALTHY_TIME, i] = samples[_SENSOR_TIME, i]
+        if told[_READING, i] != _HELD:
+            continue
+        motion[0, i] = report[_POSITION]
+        motion[1, i] = report[_VELOCITY]
+        if is_nearest[i]:
+            samples[_COUNTED, i] = 0.0
+            samples[_SENSOR_TIME, i] = time
+            samples[_PREVIOUS_DISTANCE, i] = np.nan
+        else:
+            samples[_COUNTED, i] = samples[_BEFORE_DISTANCE, i]
+            samples[_SENSOR_TIME, i] = samples[_BEFORE_TIME, i]
+            distance = samples[_BEFORE_PREVIOUS_DISTANCE, i]
+            samples[_PREVIOUS_DISTANCE, i] = distance
+            samples[_PREVIOUS_TIME, i] = samples[_BEFORE_PREVIOUS_TIME, i]
 
 
 def mask_scans(
@@ -436,6 +522,7 @@ def mask_scans(
     caster: RayCaster,
     bundles: RayBundles,
     twin: Twin,
+    is_dead: np.ndarray | None = None,
 ) -> tuple[MaskedScan, ...]:
     """Tells what each reading of new scans means.
 
@@ -455,25 +542,76 @@ def mask_scans(
         caster: of the twin.
         bundles: the rays of all rings' sensors, see `make_mask_bundles`.
         twin: gives the poses that the caster needs.
+        is_dead: whether each sensor is declared dead, (N,); None: none is.
 
     Returns:
         Each ring's masked scan, that before where there is no new one. Its
-        `scan` is as the monitor reckons with it: 0 m for a target nearer than
-        can be measured, and the sample before where there is no new data.
+        `scan` is as the monitor uses it: 0 m for a target nearer than can be
+        measured, the sample before where there is no new data, and the last
+        obstacle with its own time where that is HELD.
     """
     num_sensors = bundles.num_bundles
     n = num_sensors // len(scans)
     samples = _make_no_samples(num_sensors).copy()
+    told = np.zeros((_TOLD_ROWS, num_sensors), dtype=np.int64)
     held = [
-        scan is not None and _load_samples(samples, n * i, n, scan, was)
+        scan is not None and _load_scan(samples, told, n * i, n, scan, was)
         for i, (scan, was) in enumerate(zip(scans, before, strict=True))
     ]
     motion = np.empty((2, num_sensors, 6))
-    reading = np.empty(num_sensors, dtype=np.uint8)
+    _compare_with_twin(
+        config,
+        samples=samples,
+        told=told,
+        motion=motion,
+        sensors_per_ring=n,
+        time=time,
+        table=table,
+        caster=caster,
+        bundles=bundles,
+        twin=twin,
+    )
+    memory = config.memory
+    _remember(
+        samples,
+        told,
+        time,
+        table[-1],
+        np.zeros(num_sensors, dtype=bool) if is_dead is None else is_dead,
+        (memory.clear_samples, memory.sigma_samples),
+        motion,
+    )
+    # The messages are views of these.
+    for array in (samples, motion, told):
+        array.setflags(write=False)
+    return tuple(
+        was
+        if scan is None
+        else _make_masked_scan(
+            scan, held[i], samples, told, motion, slice(n * i, n * i + n)
+        )
+        for i, (scan, was) in enumerate(zip(scans, before, strict=True))
+    )
+
+
+def _compare_with_twin(
+    config,
+    *,
+    samples,
+    told,
+    motion,
+    sensors_per_ring,
+    time,
+    table,
+    caster,
+    bundles,
+    twin,
+):
+    """Fills in what each sample means by itself, and the robot's motion."""
+    num_sensors = bundles.num_bundles
     unsettled = np.empty(num_sensors, dtype=bool)
     which = np.empty(num_sensors, dtype=bool)
     report = np.empty(_COLUMNS)
-
     limits = (
         config.tolerance,
         config.min_range,
@@ -482,73 +620,74 @@ def mask_scans(
     )
     margin = config.time_margin
     is_unsettled = _begin(
-        samples, table, n, time, limits, motion, reading, unsettled
+        samples, table, sensors_per_ring, time, limits, motion, told, unsettled
     )
-    if config.enabled:
-        for shift in (0.0, -margin, margin) if margin > 0.0 else (0.0,):
-            more = is_unsettled
-            while more:
-                more = _begin_look(
-                    samples, table, shift, unsettled, which, report
-                )
-                X_WF = twin.calc(
-                    report[_POSITION],
-                    report[_GRIPPER_CLOSED],
-                    report[_PRODUCTS_PLACED],
-                )
-                self_distance, _ = caster.cast_bundles(bundles, X_WF, which)
-                is_unsettled = _end_look(
-                    samples,
-                    which,
-                    self_distance,
-                    more,
-                    time,
-                    limits,
-                    reading,
-                    unsettled,
-                )
-
-    # The messages are views of these.
-    for array in (samples, motion, reading):
-        array.setflags(write=False)
-    return tuple(
-        was
-        if scan is None
-        else _make_masked_scan(
-            scan, held[i], samples, reading, motion, slice(n * i, n * i + n)
-        )
-        for i, (scan, was) in enumerate(zip(scans, before, strict=True))
-    )
+    if not config.enabled:
+        return
+    for shift in (0.0, -margin, margin) if margin > 0.0 else (0.0,):
+        more = is_unsettled
+        while more:
+            more = _begin_look(samples, table, shift, unsettled, which, report)
+            X_WF = twin.calc(
+                report[_POSITION],
+                report[_GRIPPER_CLOSED],
+                report[_PRODUCTS_PLACED],
+            )
+            self_distance, _ = caster.cast_bundles(bundles, X_WF, which)
+            is_unsettled = _end_look(
+                samples,
+                which,
+                self_distance,
+                more,
+                time,
+                limits,
+                told,
+                unsettled,
+            )
 
 
-def _load_samples(samples, first, n, scan, before):
+def _load_scan(samples, told, first, n, scan, before):
+    """Writes a scan into the tables; returns whether a sample before stands."""
     if scan.status.shape != (n,):
         raise ValueError(
             f"scan of {len(scan.status)} sensors, but the mask has {n}"
         )
     if before.reading.shape != (n,):
-        before = _NOTHING_BEFORE
-    return _hold_samples(
-        samples,
-        first,
-        scan.sensor_time,
-        scan.distance,
-        scan.status,
-        before.scan.sensor_time,
-        before.scan.distance,
-        before.scan.status,
-        before.reading,
-        before.previous_distance,
-        before.previous_time,
+        before = _make_nothing_before(n)
+    new = np.array([scan.sensor_time, scan.distance, scan.status])
+    return _load_ring(samples, told, first, new, _stack_before(before))
+
+
+@functools.cache
+def _make_nothing_before(n):
+    """Returns what stands before a ring's first scan of n sensors."""
+    return MaskedScan(
+        scan=RingScan(
+            sensor_time=np.full(n, -np.inf),
+            distance=np.full(n, np.nan),
+            status=np.full(n, STATUS_NO_NEW_DATA, dtype=np.uint8),
+        ),
+        reading=np.full(n, Reading.FAULTED, dtype=np.uint8),
+        fault=np.full(n, SensorFault.NO_DATA, dtype=np.uint8),
+        healthy_time=np.full(n, -np.inf),
+        no_returns=np.zeros(n, dtype=np.int64),
+        unmeasured=np.zeros(n, dtype=np.int64),
+        previous_distance=np.full(n, np.nan),
+        previous_time=np.full(n, -np.inf),
     )
 
 
-_NOTHING_BEFORE = MaskedScan()
-
-
-def _make_masked_scan(scan, is_held, samples, reading, motion, sensors):
-    distance = samples[_RECKONED, sensors]
-    if is_held or distance.tobytes() != scan.distance.tobytes():
+def _make_masked_scan(scan, is_held, samples, told, motion, sensors):
+    distance = samples[_COUNTED, sensors]
+    reading = told[_READING, sensors].astype(np.uint8)
+    fault = told[_FAULT, sensors].astype(np.uint8)
+    for array in (reading, fault):
+        array.setflags(write=False)
+    if (
+        is_held
+        or (reading == _HELD).any()
+        or distance.tobytes() != scan.distance.tobytes()
+    ):
         status = scan.status
         if is_held:
             status = samples[_STATUS, sensors].astype(np.uint8)
@@ -559,10 +698,15 @@ def _make_masked_scan(scan, is_held, samples, reading, motion, sensors):
             sensor_time=samples[_SENSOR_TIME, sensors],
             distance=distance,
             status=status,
+            problem=scan.problem,
         )
     return MaskedScan.of_read_only(
         scan=scan,
-        reading=reading[sensors],
+        reading=reading,
+        fault=fault,
+        healthy_time=samples[_HEALTHY_TIME, sensors],
+        no_returns=told[_NO_RETURNS, sensors],
+        unmeasured=told[_UNMEASURED, sensors],
         self_nearest=samples[_NEAREST, sensors],
         self_farthest=samples[_FARTHEST, sensors],
         previous_distance=samples[_PREVIOUS_DISTANCE, sensors],
@@ -606,6 +750,7 @@ class OcclusionMask(LeafSystem):
         caster: RayCaster,
         bundles: RayBundles,
         twin: Twin,
+        is_dead: np.ndarray | None = None,
         masks_periodically: bool = True,
         name: tuple[str, ...] = RINGS,
     ):
@@ -618,6 +763,8 @@ class OcclusionMask(LeafSystem):
             bundles: the rings' rays by that caster, see `make_mask_bundles`;
                 as many for each ring.
             twin: gives the poses of `caster.frame_ids`.
+            is_dead: whether each sensor is declared dead, ring by ring, (N,);
+                None: none is.
             masks_periodically: look at the scans at each control tick; else
                 only in forced updates, which spare a loop the copy of the
                 Diagram's whole State.
@@ -644,6 +791,7 @@ class OcclusionMask(LeafSystem):
         self._caster = caster
         self._bundles = bundles
         self._twin = twin
+        self._is_dead = is_dead
         self._scans = [
             self.DeclareAbstractInputPort(f"scan_{ring}", Value(RingScan()))
             for ring in name
@@ -707,6 +855,7 @@ class OcclusionMask(LeafSystem):
             caster=self._caster,
             bundles=self._bundles,
             twin=self._twin,
+            is_dead=self._is_dead,
         )
         for value, masked_scan, new in zip(
             values, masked_scans, is_new, strict=True

@@ -1,37 +1,62 @@
 """What a sensor's sample means to the monitor: the reading policy.
 
-| status                | sample                       | reading             |
-|-----------------------|------------------------------|---------------------|
-| 0 valid               | plausible distance           | VALID, or MASKED    |
-| 0 valid               | saturated, negative, not a   | FAULTED             |
-|                       | number, beyond what is       |                     |
-|                       | plausible                    |                     |
-| 3 min range clipped   | nearer than can be measured  | VALID at 0 m, or    |
-|                       |                              | MASKED              |
-| 2 signal fail,        | nothing came back            | CLEAR               |
-| 4 out of bounds,      |                              |                     |
-| 7 wrap around         |                              |                     |
-| 1 sigma fail          | there is something, how far  | FAULTED             |
-|                       | it is can not be told        |                     |
-| 254 no new data       | the sensor's sample before,  | as that sample was  |
-|                       | until it is too old          |                     |
-| 5, 6, 8, 10, 13, 14,  | broken, first or unchecked   | FAULTED             |
-| 253, 255, any other   | sample, unknown              |                     |
-| any                   | older than the deadline      | FAULTED             |
+ST's manuals (UM2356 for the full driver, UM2510 and UM2931 for the small
+ones) tell what a range status says. Where it can mean two things, the worse
+one is taken:
 
-Only a fresh "nothing came back" is ever taken for clear. A valid distance
-below the minimum range is detected but wrong, so it too counts as 0 m, the
-nearest possible.
+| status            | what ST says of it            | reading                 |
+|-------------------|-------------------------------|-------------------------|
+| 0 valid           | a distance                    | VALID, or MASKED        |
+| 0 valid           | (beyond the mode, negative,   | fault IMPLAUSIBLE       |
+|                   | not a number)                 |                         |
+| 3 min range       | nearer than can be measured   | VALID at 0 m, or MASKED |
+| clipped, 13 min   |                               |                         |
+| range fail        |                               |                         |
+| 2 signal fail     | too far, too dark, too small  | CLEAR, once confirmed   |
+| 4 out of bounds   | nothing within the mode       | CLEAR, once confirmed   |
+| 7 wrap around     | farther than the mode         | CLEAR, once confirmed   |
+| 1 sigma fail      | a target, but too noisy       | fault SIGMA             |
+| 9 cross-talk      | signal hidden by cross-talk   | fault SIGMA             |
+| 12 lack of signal | a target, but too weak        | fault SIGMA             |
+| 6, 11             | valid, but unchecked for      | fault SIGMA             |
+|                   | wrapping, or two targets in   |                         |
+|                   | one                           |                         |
+| 254 no new data   | (this project's)              | the sample before, until|
+|                   |                               | it is too old           |
+| 253               | (this project's) no answer on | fault BUS               |
+|                   | the bus                       |                         |
+| 240, 241, 242     | (the host's) frozen,          | fault of that name      |
+|                   | self-test, contested          |                         |
+| 5, 8, 10, 14,     | broken, first or invalid      | fault HARDWARE          |
+| 255, any other    | sample, unknown               |                         |
+| any               | older than the deadline       | fault LATE              |
+
+A fault leaves the reading FAULTED here. What a sensor saw before, and how
+"nothing came back" is confirmed, is up to `tofssm_drake.sensing.memory`.
+
+Statuses 2, 4 and 7 have to be clear, because an empty room gives them all the
+time. A target that gives one of them within the usable range is darker than
+anything that the sensor is specified for; a person in such clothes is not
+seen, whatever is done here.
+
+A valid distance below the minimum range is detected but wrong, so it too
+counts as 0 m, the nearest possible.
 """
 
 import numpy as np
 
 from tofssm_drake.kernels import njit
-from tofssm_drake.messages import Reading, RingHealth
+from tofssm_drake.messages import Reading, RingHealth, SensorFault
 from tofssm_drake.sensing.vl53l1x import (
     SATURATED,
+    STATUS_BUS_FAILURE,
+    STATUS_CONTESTED,
+    STATUS_FROZEN,
     STATUS_MIN_RANGE_CLIPPED,
+    STATUS_MIN_RANGE_FAIL,
+    STATUS_NO_NEW_DATA,
     STATUS_OUT_OF_BOUNDS,
+    STATUS_SELF_TEST,
     STATUS_SIGNAL_FAIL,
     STATUS_VALID,
     STATUS_WRAP_AROUND,
@@ -42,9 +67,61 @@ _CLEAR = int(Reading.CLEAR)
 _VALID = int(Reading.VALID)
 _MASKED = int(Reading.MASKED)
 _FAULTED = int(Reading.FAULTED)
+_HELD = int(Reading.HELD)
+_NONE = int(SensorFault.NONE)
+_BUS = int(SensorFault.BUS)
+_NO_DATA = int(SensorFault.NO_DATA)
+_LATE = int(SensorFault.LATE)
+_IMPLAUSIBLE = int(SensorFault.IMPLAUSIBLE)
+_SIGMA = int(SensorFault.SIGMA)
+_HARDWARE = int(SensorFault.HARDWARE)
+_FROZEN = int(SensorFault.FROZEN)
+_SELF_TEST = int(SensorFault.SELF_TEST)
+_CONTESTED = int(SensorFault.CONTESTED)
+_DEAD = int(SensorFault.DEAD)
 _HEALTHY = int(RingHealth.HEALTHY)
 _BLIND = int(RingHealth.BLIND)
 _RING_FAULTED = int(RingHealth.FAULTED)
+_DEGRADED = int(RingHealth.DEGRADED)
+
+# Something is there, but nobody can tell how far: sigma fail, unchecked for
+# wrapping, hidden by cross-talk, merged targets, lack of signal.
+_UNMEASURED = (1, 6, 9, 11, 12)
+
+
+@njit(cache=True)
+def find_fault(status, age, max_age):
+    """Returns the `SensorFault` that status and age of a sample tell.
+
+    Args:
+        status: range status.
+        age: how long ago the sample was taken, s; NaN is too old.
+        max_age: s.
+    """
+    if status == STATUS_BUS_FAILURE:
+        return _BUS
+    if status == STATUS_FROZEN:
+        return _FROZEN
+    if status == STATUS_SELF_TEST:
+        return _SELF_TEST
+    if status == STATUS_CONTESTED:
+        return _CONTESTED
+    if status == STATUS_NO_NEW_DATA:
+        return _NO_DATA
+    if not age <= max_age:
+        return _LATE
+    if status in _UNMEASURED:
+        return _SIGMA
+    if status in (
+        STATUS_VALID,
+        STATUS_SIGNAL_FAIL,
+        STATUS_MIN_RANGE_CLIPPED,
+        STATUS_OUT_OF_BOUNDS,
+        STATUS_WRAP_AROUND,
+        STATUS_MIN_RANGE_FAIL,
+    ):
+        return _NONE
+    return _HARDWARE
 
 
 @njit(cache=True)
@@ -79,43 +156,39 @@ def classify_readings(
         max_age: s.
 
     Returns:
-        `Reading` (n,), uint8, and the distance to reckon with (n,), m: 0
-        where it is the nearest possible, else as measured.
+        `Reading` (n,), uint8; `SensorFault` (n,), uint8; and the distance
+        that counts (n,), m: 0 where it is the nearest possible, else as
+        measured.
     """
     n = distance.shape[0]
     reading = np.empty(n, dtype=np.uint8)
-    reckoned = distance.copy()
+    fault = np.empty(n, dtype=np.uint8)
+    counted = distance.copy()
     for i in range(n):
         d = distance[i]
         s = status[i]
-        if not age[i] <= max_age:
+        fault[i] = find_fault(s, age[i], max_age)
+        is_near = s == STATUS_MIN_RANGE_CLIPPED or s == STATUS_MIN_RANGE_FAIL
+        if s == STATUS_VALID:
+            if not (0.0 <= d <= max_range and d < SATURATED):
+                fault[i] = fault[i] or _IMPLAUSIBLE
+            is_near = d < min_range
+        if fault[i] != _NONE:
             reading[i] = _FAULTED
-        elif s in (
-            STATUS_SIGNAL_FAIL,
-            STATUS_OUT_OF_BOUNDS,
-            STATUS_WRAP_AROUND,
-        ):
-            reading[i] = _CLEAR
-        elif s == STATUS_MIN_RANGE_CLIPPED or (
-            s == STATUS_VALID and 0.0 <= d < min_range
-        ):
-            reckoned[i] = 0.0
-            if self_nearest[i] - tolerance <= min_range:
-                reading[i] = _MASKED
-            else:
-                reading[i] = _VALID
-        elif s == STATUS_VALID and 0.0 <= d <= max_range and d < SATURATED:
+        elif is_near:
+            counted[i] = 0.0
+            is_own = self_nearest[i] - tolerance <= min_range
+            reading[i] = _MASKED if is_own else _VALID
+        elif s == STATUS_VALID:
             near = self_nearest[i] - tolerance
             far = self_farthest[i]
             if self_nearest[i] < min_range:
                 far = max(far, min_range)
-            if near <= d <= far + tolerance:
-                reading[i] = _MASKED
-            else:
-                reading[i] = _VALID
+            is_own = near <= d <= far + tolerance
+            reading[i] = _MASKED if is_own else _VALID
         else:
-            reading[i] = _FAULTED
-    return reading, reckoned
+            reading[i] = _CLEAR
+    return reading, fault, counted
 
 
 @njit(cache=True)
@@ -141,32 +214,50 @@ def calc_self_interval(self_distance):
 
 @njit(cache=True)
 def count_readings(reading):
-    """Returns how many sensors are clear, valid, masked, faulted, (4,)."""
+    """Returns how many sensors are clear, valid, masked, faulted, (4,).
+
+    A held distance counts as valid: it is an obstacle.
+    """
     count = np.zeros(4, dtype=np.int64)
     for r in reading:
+        if r == _HELD:
+            r = _VALID
         count[min(r, _FAULTED)] += 1
     return count
 
 
 @njit(cache=True)
-def calc_ring_health(count, max_faulted_sensors):
-    """Tells from the readings' counts whether a ring can be trusted.
+def calc_ring_health(reading, fault, faulted_for, fault_time):
+    """Tells from its sensors whether a ring can be trusted.
 
-    FAULTED when more sensors are faulted than allowed, or all of them, or
-    there are none. BLIND when every sensor that works is masked: nothing is
-    known of the ring's surroundings. HEALTHY otherwise, so one clear or valid
-    sensor is enough.
+    FAULTED as soon as a sensor has been faulted for longer than `fault_time`,
+    more than half of the ring's sensors are faulted at once (a shared cause,
+    such as the bus), or none is left. BLIND when every sensor that works is
+    masked: nothing is known of the ring's surroundings. DEGRADED when a
+    sensor is declared dead, HEALTHY otherwise.
 
     Args:
-        count: (4,) sensors that are clear, valid, masked, faulted.
-        max_faulted_sensors: how many may be faulted at a time.
+        reading: `Reading` of each sensor, (n,).
+        fault: `SensorFault` of each sensor, (n,); DEAD ones do not count.
+        faulted_for: how long ago each sensor's last good sample was, s, (n,).
+        fault_time: for how long a sensor may be faulted, s.
 
     Returns:
         `RingHealth` as an integer.
     """
-    working = count[_CLEAR] + count[_VALID] + count[_MASKED]
-    if count[_FAULTED] > max_faulted_sensors or working == 0:
+    alive, faulted, masked = 0, 0, 0
+    for i in range(reading.shape[0]):
+        if fault[i] == _DEAD:
+            continue
+        alive += 1
+        if fault[i] != _NONE:
+            faulted += 1
+            if not faulted_for[i] <= fault_time:
+                return _RING_FAULTED
+        elif reading[i] == _MASKED:
+            masked += 1
+    if alive == 0 or 2 * faulted > alive:
         return _RING_FAULTED
-    if count[_MASKED] == working:
+    if masked == alive - faulted:
         return _BLIND
-    return _HEALTHY
+    return _DEGRADED if alive < reading.shape[0] else _HEALTHY

@@ -9,13 +9,15 @@ import numpy as np
 from pydrake.common.value import Value
 from pydrake.systems.framework import Context
 
-from tofssm_drake.errors import require
 from tofssm_drake.kernels import njit
 from tofssm_drake.leaf_system import LeafSystem
 from tofssm_drake.messages import (
+    FAULT_NAMES,
     RINGS,
     MaskedScan,
     Reading,
+    RingHealth,
+    SensorFault,
     Separation,
     make_empty_separation,
 )
@@ -24,6 +26,7 @@ from tofssm_drake.sensing.vl53l1x import check_range
 
 _VALID = int(Reading.VALID)
 _FAULTED = int(Reading.FAULTED)
+_HELD = int(Reading.HELD)
 
 
 @dc.dataclass(kw_only=True)
@@ -46,22 +49,20 @@ class SeparationConfig:
     # a speed, s (*assumed*: three periods and a bit).
     max_gap: float = 0.1
 
-    # A ring with more faulted sensors than this at a time is faulted, which
-    # stops the robot. With 1 % lost samples, 15 % of which read as faulted,
-    # 3 of 8 sensors coincide about twice a day in three rings at 42 Hz; 2 of
-    # 8 would every two minutes, and any single one four times a second.
-    max_faulted_sensors: int = 2
+    # A sensor that has been faulted for longer than this makes its link
+    # faulted, which stops the robot, s (*assumed*: a person walks half a
+    # metre in that time, and at 42 Hz it takes 12 lost samples in a row. If
+    # one sample in ten were lost, three rings of 8 would stop by that once in
+    # 35 years). More than half of a ring's sensors faulted at once stop the
+    # robot at once; with one lost sample in a hundred that happens by chance
+    # once in 17 days.
+    fault_time: float = 0.3
 
     def check(self, where: str) -> None:
         """Raises UserError unless every setting is within its limits."""
         check_range(where, "V_hmax", self.V_hmax, 0.0, 10.0)
         check_range(where, "max_gap", self.max_gap, 0.0, 10.0)
-        require(
-            isinstance(self.max_faulted_sensors, int)
-            and self.max_faulted_sensors >= 0,
-            f"{where}.max_faulted_sensors: {self.max_faulted_sensors} is out "
-            "of range; use a whole number, 0 or more",
-        )
+        check_range(where, "fault_time", self.fault_time, 0.0, 10.0)
 
 
 @dc.dataclass(frozen=True, eq=False, kw_only=True)
@@ -107,19 +108,38 @@ class LinkKinematics(Protocol):
 
 @njit(cache=True)
 def find_nearest(distance, reading):
-    """Returns the index of the nearest VALID sensor; -1: there is none.
+    """Returns the index of the nearest sensor with an obstacle; -1: none.
 
     Args:
         distance: (n,) m.
-        reading: (n,) `Reading`; masked, faulted and clear ones are dropped.
+        reading: (n,) `Reading`; only VALID and HELD ones are obstacles.
     """
     nearest = -1
     for i in range(distance.shape[0]):
-        if reading[i] == _VALID and (
+        if (reading[i] == _VALID or reading[i] == _HELD) and (
             nearest < 0 or distance[i] < distance[nearest]
         ):
             nearest = i
     return nearest
+
+
+@njit(cache=True)
+def close_in(distance, reading, sensor_time, now, speed):
+    """Returns the distances of now: what is HELD has come nearer, (n,) m.
+
+    Args:
+        distance: (n,) m, as of `sensor_time`.
+        reading: (n,) `Reading`.
+        sensor_time: (n,) s.
+        now: s.
+        speed: at which held obstacles close in, m/s.
+    """
+    result = distance.copy()
+    for i in range(distance.shape[0]):
+        if reading[i] == _HELD:
+            elapsed = max(now - sensor_time[i], 0.0)
+            result[i] = max(distance[i] - speed * elapsed, 0.0)
+    return result
 
 
 @njit(cache=True)
@@ -145,88 +165,68 @@ _COLUMNS = 15
 
 
 @njit(cache=True)
-def _find_moment(distance, reading, sensor_time):
+def _find_moment(distance, reading, sensor_time, now):
     """Returns the deciding sensor, the one to pose the link by, the time."""
     sensor = find_nearest(distance, reading)
-    if sensor >= 0:
+    if sensor >= 0 and reading[sensor] == _VALID:
         return sensor, sensor, sensor_time[sensor]
-    # Nothing decides: the link as the newest sample saw it, but no younger
-    # than the oldest sample that the clear ring rests on.
+    # Nothing was measured: the link as the newest sample saw it, but no
+    # younger than the oldest sample that the ring rests on.
     newest = 0
     oldest_time = np.inf
     for i in range(sensor_time.shape[0]):
         if sensor_time[i] > sensor_time[newest]:
             newest = i
-        if reading[i] != _FAULTED:
+        if reading[i] != _FAULTED and reading[i] != _HELD:
             oldest_time = min(oldest_time, sensor_time[i])
+    if sensor >= 0:
+        # A held distance is posed, and has closed in, as of now.
+        return sensor, sensor, min(oldest_time, now)
     if oldest_time == np.inf:
         oldest_time = -np.inf
     return -1, newest, oldest_time
 
 
 @njit(cache=True)
-def _calc_row(
-    sequence,
-    sensor,
-    time,
-    distance,
-    reading,
-    sensor_time,
-    previous_distance,
-    previous_time,
-    radius,
-    beam_L,
-    R_WL,
-    v_WL,
-    k_max,
-    V_hmax,
-    literal,
-    literal_sign,
-    max_gap,
-    max_faulted_sensors,
-    row,
-):
-    row[_SEQUENCE] = sequence
-    row[_TIME] = time
-    row[_SENSOR] = sensor
-    count = count_readings(reading)
-    row[_HEALTH] = calc_ring_health(count, max_faulted_sensors)
-    row[_COUNT:] = count
-    speed = math.sqrt(v_WL[0] ** 2 + v_WL[1] ** 2 + v_WL[2] ** 2)
-    row[_LINK_SPEED] = speed
-    if sensor < 0:
-        row[_DISTANCE] = np.inf
-        row[_DIRECTION:_REALS] = np.nan
-        row[_K_L] = saturate(speed, k_max)
-        row[_K_O] = saturate(speed + V_hmax, k_max)
-        return
+def _calc_closing_speed(sensor, distance, time, previous, limits, literal):
+    """Returns -d||D||/dt of a sensor; NaN where it is not known.
 
-    row[_DISTANCE] = radius + distance[sensor]
-    k_l = 0.0
-    for i in range(3):
-        n_i = 0.0
-        for j in range(3):
-            n_i += R_WL[i, j] * beam_L[sensor, j]
-        row[_DIRECTION + i] = n_i
-        k_l += v_WL[i] * n_i
-
+    Args:
+        sensor: the deciding one.
+        distance: as measured, (n,) m.
+        time: (n,) s.
+        previous: distances, m, and times, s, of the samples before, (2, n).
+        limits: max_gap, s.
+        literal: differences the minimum over the ring, and its sign.
+    """
     before = sensor
-    if literal:
-        for i in range(previous_distance.shape[0]):
-            if previous_distance[i] < previous_distance[before] or np.isnan(
-                previous_distance[before]
+    if literal[0]:
+        for i in range(distance.shape[0]):
+            if previous[0, i] < previous[0, before] or np.isnan(
+                previous[0, before]
             ):
                 before = i
-    dt = sensor_time[sensor] - previous_time[before]
+    dt = time[sensor] - previous[1, before]
     # NaN where that sensor had no valid sample: the comparison is false.
-    if 0.0 < dt <= max_gap and previous_distance[before] >= 0.0:
-        k_o = -(distance[sensor] - previous_distance[before]) / dt
-        if literal_sign:
-            k_o = -k_o
-    else:
-        k_o = k_l + V_hmax
-    row[_K_L] = saturate(k_l, k_max)
-    row[_K_O] = saturate(k_o, k_max)
+    if 0.0 < dt <= limits and previous[0, before] >= 0.0:
+        speed = (previous[0, before] - distance[sensor]) / dt
+        return -speed if literal[1] else speed
+    return np.nan
+
+
+@njit(cache=True)
+def _calc_speeds(sensor, measured_speed, is_held, beam_L, R_WL, v_WL, V_hmax):
+    """Returns direction in world (3), k_l and k_o of the deciding sensor."""
+    direction = np.zeros(3)
+    k_l = 0.0
+    for i in range(3):
+        for j in range(3):
+            direction[i] += R_WL[i, j] * beam_L[sensor, j]
+        k_l += v_WL[i] * direction[i]
+    k_o = k_l + V_hmax
+    if measured_speed == measured_speed:
+        k_o = max(k_o, measured_speed) if is_held else measured_speed
+    return direction, k_l, k_o
 
 
 def calc_link_row(
@@ -247,6 +247,10 @@ def calc_link_row(
     Without a valid sensor the distance is inf, k_l = ||V_l|| and
     k_o = ||V_l|| + V_hmax: a person may appear in any direction.
 
+    A HELD distance counts like a valid one. It has closed in with k_max since
+    it was measured, and its k_o is the greater one of the last that was
+    measured and k_l + V_hmax.
+
     Args:
         config: settings.
         masked_scan: of the ring of this link, with at least one sensor.
@@ -259,36 +263,80 @@ def calc_link_row(
         Time, distance, link speed, k_l, k_o, direction (3), sequence, sensor,
         health, counts (4): a row of what `make_separation` takes.
     """
-    scan = masked_scan.scan
+    scan, reading = masked_scan.scan, masked_scan.reading
+    now = scan.time
+    distance = close_in(scan.distance, reading, scan.sensor_time, now, k_max)
     sensor, moment, time = _find_moment(
-        scan.distance, masked_scan.reading, scan.sensor_time
+        distance, reading, scan.sensor_time, now
     )
     _, R_WL, v_WL = kinematics.calc(
         masked_scan.position[moment], masked_scan.velocity[moment]
     )
     row = np.empty(_COLUMNS)
-    _calc_row(
-        scan.sequence,
-        sensor,
-        time,
-        scan.distance,
-        masked_scan.reading,
-        scan.sensor_time,
-        masked_scan.previous_distance,
-        masked_scan.previous_time,
-        geometry.radius,
-        geometry.beam_L,
-        R_WL[link],
-        v_WL[link],
-        k_max,
-        config.V_hmax,
-        config.literal,
-        config.literal_sign,
-        config.max_gap,
-        config.max_faulted_sensors,
-        row,
-    )
+    row[_SEQUENCE], row[_TIME], row[_SENSOR] = scan.sequence, time, sensor
+    row[_COUNT:] = count_readings(reading)
+    row[_HEALTH] = _calc_health(config, masked_scan)
+    speed = math.sqrt(v_WL[link] @ v_WL[link])
+    row[_LINK_SPEED] = speed
+    if sensor < 0:
+        row[_DISTANCE] = np.inf
+        row[_DIRECTION:_REALS] = np.nan
+        k_l, k_o = speed, speed + config.V_hmax
+    else:
+        row[_DISTANCE] = geometry.radius + distance[sensor]
+        row[_DIRECTION:_REALS], k_l, k_o = _calc_speeds(
+            sensor,
+            _calc_closing_speed(
+                sensor,
+                scan.distance,
+                scan.sensor_time,
+                np.array(
+                    [masked_scan.previous_distance, masked_scan.previous_time]
+                ),
+                config.max_gap,
+                (config.literal, config.literal_sign),
+            ),
+            reading[sensor] == _HELD,
+            geometry.beam_L,
+            R_WL[link],
+            v_WL[link],
+            config.V_hmax,
+        )
+    row[_K_L], row[_K_O] = saturate(k_l, k_max), saturate(k_o, k_max)
     return row
+
+
+def _calc_health(config, masked_scan):
+    """Returns the `RingHealth` of a ring."""
+    if masked_scan.scan.problem:
+        return RingHealth.FAULTED
+    return calc_ring_health(
+        masked_scan.reading,
+        masked_scan.fault,
+        masked_scan.scan.time - masked_scan.healthy_time,
+        config.fault_time,
+    )
+
+
+def describe_problem(masked_scan: MaskedScan) -> str:
+    """Says in a few words what is wrong with a ring; empty: nothing is.
+
+    The text does not change while the same is wrong, e.g.
+    "sensor 3: bus; sensors 5, 6: frozen".
+    """
+    if masked_scan.scan.problem:
+        return masked_scan.scan.problem
+    parts = []
+    for fault in np.unique(masked_scan.fault):
+        if fault != SensorFault.NONE:
+            sensors = np.flatnonzero(masked_scan.fault == fault).tolist()
+            if len(sensors) == len(masked_scan.fault):
+                who = "all sensors"
+            else:
+                plural = "s" if len(sensors) > 1 else ""
+                who = f"sensor{plural} {', '.join(map(str, sensors))}"
+            parts.append(f"{who}: {FAULT_NAMES[SensorFault(fault)]}")
+    return "; ".join(parts)
 
 
 def make_separation(
@@ -322,9 +370,25 @@ def make_separation(
         k_o=columns[_K_O],
         health=whole[_HEALTH - _REALS],
         count=count,
+        problem=_describe_problems(whole[_HEALTH - _REALS], masked_scans),
         rows=rows,
         masked_scans=masked_scans,
     )
+
+
+def _describe_problems(health, masked_scans):
+    """Returns `Separation.problem`; words are made of what is wrong only."""
+    if len(masked_scans) != len(health):
+        return ("",) * len(health)
+    return tuple(
+        describe_problem(masked_scan)
+        if health[i] in _WITH_PROBLEM and masked_scan.scan.sequence >= 0
+        else ""
+        for i, masked_scan in enumerate(masked_scans)
+    )
+
+
+_WITH_PROBLEM = (int(RingHealth.FAULTED), int(RingHealth.DEGRADED))
 
 
 # What `lay_out_separation` takes, as rows of m links each. Behind the rows of

@@ -26,6 +26,7 @@ STATUS_OUT_OF_BOUNDS = 4
 STATUS_HARDWARE_FAIL = 5
 STATUS_WRAP_AROUND = 7
 STATUS_PROCESSING_FAIL = 8
+STATUS_MIN_RANGE_FAIL = 13
 # From here on the numbers are this project's own: first what the host finds
 # in a sample, then what a device reports.
 STATUS_FROZEN = 240

@@ -36,6 +36,7 @@ MIN_DISTANCE = 1e-3
 # As compile-time constants for the kernel.
 _HEALTHY = int(RingHealth.HEALTHY)
 _FAULTED = int(RingHealth.FAULTED)
+_DEGRADED = int(RingHealth.DEGRADED)
 _STOP = float(RobotState.STOP)
 _REDUCED = float(RobotState.REDUCED)
 _NORMAL = float(RobotState.NORMAL)
@@ -100,7 +101,7 @@ def _calc_index(c, state, sequence, distance, link_speed, k, health, index):
         d_R = reduced_distance(c, k[i], robot_state, d_C)
         dsi_C = _threshold(c.C_dC, d_C)
         dsi_raw = np.nan
-        if health[i] == _HEALTHY:
+        if health[i] == _HEALTHY or health[i] == _DEGRADED:
             dsi_raw = (c.C_dC / max(distance[i], MIN_DISTANCE)) ** 2
             if is_new:
                 dsi = filter_index(dsi_raw, dsi, dsi_C, c.alpha_I, c.alpha_D)
@@ -185,6 +186,7 @@ def calc_safety_index(
         dsi_C=index[6],
         dsi_R=index[7],
         health=health,
+        problem=separation.problem,
         separation=separation,
         to_store=index[:3].tobytes(),
     )

@@ -2,7 +2,11 @@
 
 from tofssm_drake.messages import RingHealth, SafetyIndex, Separation
 
-_WORKING = (int(RingHealth.HEALTHY), int(RingHealth.BLIND))
+_WORKING = (
+    int(RingHealth.HEALTHY),
+    int(RingHealth.BLIND),
+    int(RingHealth.DEGRADED),
+)
 
 
 def find_sensing_problem(
@@ -20,6 +24,7 @@ def find_sensing_problem(
         now: Time, s, on the clock of `index.time`.
         deadline: The law's, s.
     """
+    problems = dict(zip(index.name, index.problem, strict=False))
     for name, sequence, health, time in zip(
         index.name,
         index.sequence.tolist(),
@@ -30,7 +35,8 @@ def find_sensing_problem(
         if sequence < 0:
             return f"{name} has no sample yet"
         if health not in _WORKING:
-            return f"{name} is faulted"
+            problem = problems.get(name, "")
+            return f"{name} is faulted{problem and ', ' + problem}"
         # Not a number is too old, too.
         if not abs(now - time) <= deadline:
             return f"{name} sample is too old"

@@ -22,6 +22,8 @@ _REDUCED = float(RobotState.REDUCED)
 _NORMAL = float(RobotState.NORMAL)
 _HEALTHY = int(RingHealth.HEALTHY)
 _BLIND = int(RingHealth.BLIND)
+_DEGRADED = int(RingHealth.DEGRADED)
+_WORKING = (_HEALTHY, _BLIND, _DEGRADED)
 
 
 @njit(cache=True)
@@ -47,8 +49,8 @@ def _calc_states(
             states[i] = _STOP
         elif health[i] == _HEALTHY:
             states[i] = classify_index(dsi[i], dsi_C[i], dsi_R[i], literal)
-        elif health[i] == _BLIND:
-            # Without any index yet, being blind is all that is known.
+        elif health[i] == _BLIND or health[i] == _DEGRADED:
+            # Without any index yet, that is all that is known.
             states[i] = _REDUCED
             if dsi[i] != np.inf:
                 state = classify_index(dsi[i], dsi_C[i], dsi_R[i], literal)
@@ -64,7 +66,8 @@ def calc_ring_states(
 
     Stop without any sample, with a sample further from now than the deadline
     (older, or from the future: clocks that disagree), with faulted sensing,
-    and where the filtered index is critical. A blind link is at most reduced.
+    and where the filtered index is critical. A blind or degraded link is at
+    most reduced.
 
     Args:
         index: Filtered indices and thresholds.
@@ -112,8 +115,9 @@ def calc_reason(*, index: SafetyIndex, now: float, config: SsmConfig) -> str:
         age = now - index.time[i]
         if index.sequence[i] < 0:
             return f"{state}: {name} has no sample yet"
-        if index.health[i] not in (RingHealth.HEALTHY, RingHealth.BLIND):
-            return f"{state}: {name} is faulted"
+        problem = index.problem[i] if index.problem else ""
+        if index.health[i] not in _WORKING:
+            return f"{state}: {name} is faulted{problem and ', ' + problem}"
         if not abs(age) <= config.deadline:
             return (
                 f"{state}: {name} sample is {age:.3f} s old, deadline "
@@ -121,6 +125,9 @@ def calc_reason(*, index: SafetyIndex, now: float, config: SsmConfig) -> str:
             )
         if index.health[i] == RingHealth.BLIND and not is_stop:
             return f"{state}: {name} is blind"
+        is_near = index.dsi[i] > index.dsi_R[i]
+        if index.health[i] == RingHealth.DEGRADED and not is_near:
+            return f"{state}: {name} is degraded{problem and ', ' + problem}"
         ratio = index.dsi[i] / threshold[i]
         if not ratio <= greatest:
             deciding, greatest = i, ratio

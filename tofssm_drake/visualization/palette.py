@@ -9,6 +9,7 @@ BEAM = {
     Reading.VALID: Rgba(0.0, 0.45, 0.70, 0.6),
     Reading.MASKED: Rgba(0.45, 0.47, 0.50, 0.40),
     Reading.FAULTED: Rgba(0.0, 0.0, 0.0, 1.0),
+    Reading.HELD: Rgba(0.80, 0.47, 0.65, 0.6),
 }
 """Beam by what its reading means."""
 

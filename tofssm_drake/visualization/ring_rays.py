@@ -17,9 +17,11 @@ LOOKS = {
     Reading.VALID: "hit",
     Reading.MASKED: "masked",
     Reading.FAULTED: "fault",
+    Reading.HELD: "held",
 }
 """Name of each reading's object in Meshcat."""
 
+_WITH_DISTANCE = (Reading.VALID, Reading.MASKED, Reading.HELD)
 _R_ZX = RotationMatrix.MakeYRotation(np.pi / 2)
 """Turns an object along z into one along x, the axis of a beam."""
 
@@ -39,7 +41,7 @@ def calc_beam_lengths(
         the range for the others. Rounded to 5 mm, so that noise does not
         bloat a recording.
     """
-    measured = (reading == Reading.VALID) | (reading == Reading.MASKED)
+    measured = np.isin(reading, _WITH_DISTANCE)
     length = np.where(measured, distance, max_range)
     length = np.clip(np.nan_to_num(length, nan=max_range), 0.01, max_range)
     return np.round(length / 0.005) * 0.005
@@ -135,6 +137,8 @@ class RingRays(LeafSystem):
         draw(Reading.VALID, "cone", MeshcatCone(1.0, edge, edge), cone)
         draw(Reading.VALID, "ball", Sphere(0.05), RigidTransform([1, 0, 0]))
         draw(Reading.MASKED, "cone", MeshcatCone(1.0, edge, edge), cone)
+        draw(Reading.HELD, "cone", MeshcatCone(1.0, edge, edge), cone)
+        draw(Reading.HELD, "box", Box(0.1, 0.1, 0.1), RigidTransform([1, 0, 0]))
         draw(
             Reading.FAULTED,
             "block",
@@ -154,7 +158,7 @@ class RingRays(LeafSystem):
         visible = {reading: make(reading, "visible") for reading in LOOKS}
         scale = {
             reading: make(reading, "scale", hold=True)
-            for reading in (Reading.VALID, Reading.MASKED)
+            for reading in _WITH_DISTANCE
         }
         return visible, scale
 

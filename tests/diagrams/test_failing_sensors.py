@@ -1,0 +1,220 @@
+"""No failure of a sensor releases the stop that this sensor holds."""
+
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from monitor_rig import PERIOD, SIGNAL_FAIL, TICK, VALID, Rig
+import numpy as np
+import pytest
+
+from tofssm_drake.diagrams.monitor import make_monitor
+from tofssm_drake.diagrams.scenario import load_scenario
+from tofssm_drake.diagrams.station import make_station
+from tofssm_drake.messages import RINGS, Reading, RobotState
+from tofssm_drake.robot.kinematics import RingKinematics
+from tofssm_drake.robot.program import make_program_path
+
+NO_RETURN = (2, 4, 7)
+MEASURED = (0, 3, 13)
+STOP, REDUCED, NORMAL = RobotState
+
+
+@pytest.fixture(scope="module")
+def position():
+    """Where no sensor of a ring sees the robot or its cell."""
+    scenario = load_scenario()
+    station = make_station(scenario)
+    path = make_program_path(
+        scenario.program, RingKinematics.from_plant(station.plant)
+    )
+    return path.calc_motion(0.0)[0]
+
+
+@pytest.fixture(scope="module", params=["vo", "vr", "sm"])
+def monitor(request):
+    return make_monitor(
+        load_scenario(text=f"{{ssm: {{configuration: {request.param}}}}}")
+    )
+
+
+class Watch(Rig):
+    """One sensor decides, all others see nothing."""
+
+    def __init__(self, monitor, position, ring="tool", sensor=0):
+        super().__init__(monitor, position)
+        self.ring, self.sensor = ring, sensor
+
+    def tell(self, status, distance, age=0.015):
+        """Says what the sensor delivers from now on."""
+        every = np.full(8, SIGNAL_FAIL), np.full(8, 4.0), np.full(8, 0.015)
+        for values, value in zip(every, (status, distance, age), strict=True):
+            values[self.sensor] = value
+        self.readings[self.ring] = every[:2]
+        self.ages[self.ring] = every[2]
+
+    def stop(self, distance=0.4):
+        """Lets somebody come near until the robot is told to stop."""
+        for d in np.arange(1.3, distance, -0.03):
+            self.tell(VALID, d)
+            self.run(PERIOD)
+        self.tell(VALID, distance)
+        self.run(0.5)
+        masked = self.eval(f"masked_scan_{self.ring}")
+        assert masked.reading[self.sensor] == Reading.VALID
+        assert self.state == STOP
+        assert self.rho == 0.0
+
+    def run_scan(self):
+        """Delivers one scan; returns the highest state until the next."""
+        return self.run(PERIOD)[:, 1].max()
+
+
+def make_watch(monitor, position):
+    watch = Watch(monitor, position)
+    watch.run(1.0)
+    assert watch.state == NORMAL
+    watch.stop()
+    return watch
+
+
+failed_statuses = st.integers(0, 255).filter(
+    lambda s: s not in (*NO_RETURN, *MEASURED)
+)
+any_distance = st.floats(0.0, 65.535)
+failures = st.one_of(
+    # Any status that is no valid range, with whatever number beside it.
+    st.tuples(failed_statuses, any_distance, st.just(0.015)),
+    # A distance that its mode cannot measure, or no number at all.
+    st.tuples(
+        st.just(0),
+        st.one_of(st.floats(1.46, 65.535), st.just(np.nan)),
+        st.just(0.015),
+    ),
+    # Old data again and again, or an age that nobody knows.
+    st.tuples(
+        st.integers(0, 255),
+        any_distance,
+        st.one_of(st.floats(0.08, 100.0), st.just(np.inf), st.just(np.nan)),
+    ),
+    # One lost sample, which looks as if nothing was there.
+    st.tuples(st.sampled_from(NO_RETURN), any_distance, st.just(0.015)),
+)
+
+
+@settings(deadline=None, max_examples=25)
+@given(
+    samples=st.lists(failures, min_size=1, max_size=30),
+    repeats=st.integers(1, 25),
+)
+def test_no_failure_releases_a_stop(monitor, position, samples, repeats):
+    watch = make_watch(monitor, position)
+    confirmed = 0
+    for sample in samples:
+        is_no_return = sample[0] in NO_RETURN and sample[2] < 0.072
+        watch.tell(*sample)
+        for _ in range(1 if is_no_return else repeats):
+            confirmed = confirmed + 1 if is_no_return else 0
+            if confirmed >= 2:
+                # That is a measurement: nobody is there any more.
+                break
+            assert watch.run_scan() == STOP, sample
+
+
+@pytest.mark.parametrize("status", range(256))
+def test_each_status_for_two_seconds(monitor, position, status):
+    watch = make_watch(monitor, position)
+    watch.tell(status, 0.4 if status in MEASURED else 1.2)
+    states = [watch.run_scan() for _ in range(round(2.0 / PERIOD))]
+    if status in NO_RETURN:
+        # Two in a row, and what the filter forgets.
+        assert states[0] == STOP
+        assert states[-1] == NORMAL
+    else:
+        assert set(states) == {STOP}, watch.eval("reason")
+
+
+def test_a_hang_is_told(monitor, position):
+    watch = make_watch(monitor, position)
+    watch.tell(254, 0.4)
+    watch.run(0.25)
+    assert "tool at" in watch.eval("reason")
+    watch.run(0.2)
+    assert watch.eval("reason") == "stop: tool is faulted, sensor 0: late"
+
+
+@pytest.mark.parametrize(
+    ("status", "distance", "cause"),
+    [
+        (253, 0.4, "bus"),
+        (240, 0.4, "frozen"),
+        (241, 0.4, "self-test"),
+        (242, 0.4, "contested"),
+        (1, 0.4, "sigma"),
+        (5, 0.4, "hardware"),
+        (0, 4.0, "implausible"),
+    ],
+)
+def test_a_sensor_that_saw_nothing_stops_the_robot_after_0_3_s(
+    monitor, position, status, distance, cause
+):
+    watch = Watch(monitor, position)
+    watch.run(1.0)
+    assert watch.state == NORMAL
+    watch.tell(status, distance)
+    rows = watch.run(0.5)
+    stopped = np.flatnonzero(rows[:, 1] == STOP)
+    elapsed = (stopped[0] + 1) * TICK
+    # What is there but cannot be measured counts from its second sample on.
+    assert elapsed <= (2 * PERIOD if cause == "sigma" else 0.3 + PERIOD)
+    assert (rows[stopped[0] :, 1] == STOP).all()
+    assert watch.eval("reason") == f"stop: tool is faulted, sensor 0: {cause}"
+
+
+def test_one_lost_sample_now_and_then_is_tolerated(monitor, position):
+    watch = Watch(monitor, position)
+    watch.run(1.0)
+    for status in (253, 1, 5, 254, 255):
+        for _ in range(5):
+            watch.tell(status, 0.2)
+            assert watch.run_scan() == NORMAL
+            watch.tell(SIGNAL_FAIL, 4.0)
+            for _ in range(4):
+                assert watch.run_scan() == NORMAL
+
+
+def test_half_of_a_ring_at_once(monitor, position):
+    watch = Watch(monitor, position)
+    watch.run(1.0)
+    status = np.full(8, SIGNAL_FAIL)
+    status[:5] = 253
+    watch.readings["base"] = status, np.full(8, 0.4)
+    assert watch.run(PERIOD)[-1, 1] == STOP
+    assert (
+        watch.eval("reason")
+        == "stop: base is faulted, sensors 0, 1, 2, 3, 4: bus"
+    )
+
+
+def test_a_sensor_declared_dead_slows_the_robot(position):
+    monitor = make_monitor(load_scenario(text="{dead_sensors: {tool: [0]}}"))
+    watch = Watch(monitor, position)
+    watch.tell(253, 0.2)
+    rows = watch.run(2.0)
+    assert rows[-1, 1] == REDUCED
+    assert rows[-1, 2] == 0.5
+    assert (
+        watch.eval("reason")
+        == "reduced: tool is degraded, sensor 0: declared dead"
+    )
+    # Its neighbour stops the robot as ever.
+    watch.sensor = 1
+    watch.tell(VALID, 0.3)
+    assert watch.run(PERIOD)[-1, 1] == STOP
+
+
+def test_without_a_failure_the_robot_starts_again(monitor, position):
+    watch = make_watch(monitor, position)
+    watch.tell(SIGNAL_FAIL, 4.0)
+    assert watch.run_scan() == STOP
+    watch.run(1.0)
+    assert watch.state == NORMAL
+    assert set(RINGS) == set(watch.sequence)
