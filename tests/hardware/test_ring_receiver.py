@@ -349,7 +349,7 @@ class TestRingReceiver(unittest.TestCase):
                 frame,
                 **{
                     name: np.tile(getattr(frame, name), 2)
-                    for name in ("mm", "status", "age_ms")
+                    for name in ("mm", "status", "age_ms", "period_ms")
                 },
             )
 
