@@ -65,10 +65,10 @@ class Rings:
         self._thread = threading.Thread(target=self._run)
         self._thread.start()
 
-    def inject(self, kind: str, ring: str) -> None:
-        """Begins a fault."""
+    def inject(self, kind: str, ring: str, sensor: int | None = None) -> None:
+        """Begins a fault of a ring, or of one of its sensors alone."""
         self._injectors[RINGS.index(ring)] = FaultInjector(
-            [RingFault(kind=kind, ring=ring, start=0.0)]
+            [RingFault(kind=kind, ring=ring, start=0.0, sensor=sensor)]
         )
 
     def heal(self) -> None:
@@ -82,8 +82,13 @@ class Rings:
         self._sender.close()
 
     def _send(self, frame, is_damaged):
-        frame, is_damaged = self._injectors[frame.ring].apply(frame, 1.0)
-        return frame is not None and self._sender.send(frame, is_damaged)
+        # Those whose fault delays them leave with a later frame.
+        injector, now = self._injectors[frame.ring], time.monotonic()
+        injector.put(frame, now)
+        sent = [
+            self._sender.send(d.frame, d.is_damaged) for d in injector.take(now)
+        ]
+        return any(sent)
 
     def _run(self):
         self._watcher.wait_for(lambda r: True)

@@ -132,23 +132,21 @@ class _Totals:
     arrival: float
     device: float
     sequence: int
-    received: int
-    late: int
+    received: int = 0
+    late: int = 0
     """Frames older than the limit."""
-    late_age: float
+    late_age: float = 0.0
     """Sum of their ages, s."""
-    aged: int
+    aged: int = 0
     """Frames with a new sample."""
-    age: float
+    age: float = 0.0
     """Sum of their ages, s."""
-    fresh: np.ndarray
-    """New samples of each sensor, (n,)."""
-    idle: np.ndarray
-    """Times that it answered and had none, (n,)."""
-    told: np.ndarray
-    """Times that it knew its period, (n,)."""
-    told_ms: np.ndarray
-    """Sum of these periods, ms, (n,)."""
+    samples: np.ndarray | float = 0.0
+    """Of each sensor, (4, n): how often it was new, how often it had nothing
+    new, how often it knew its period, and the sum of these periods in ms."""
+
+
+_NOTHING = _Totals(arrival=-np.inf, device=-np.inf, sequence=-1)
 
 
 @dc.dataclass(frozen=True, eq=False, kw_only=True)
@@ -213,7 +211,7 @@ def update_watch(
         timing: Of a frame that is newer than all before.
         budget: What the link may take.
     """
-    before = watch.totals[-1] if watch.totals else None
+    before = watch.totals[-1] if watch.totals else _NOTHING
     totals = (*watch.totals, _add(before, timing, budget))
     first = next(
         i
@@ -299,33 +297,20 @@ def _add_to_blocks(blocks, timing, length):
 
 def _add(before, timing, budget):
     """Returns the totals with a frame more."""
-    n = len(timing.status)
     is_idle = timing.status == STATUS_NO_NEW_DATA
     is_fresh = ~is_idle & (timing.status != STATUS_BUS_FAILURE)
     is_late = timing.age > budget.max_age
-    if before is None:
-        zeros = np.zeros(n)
-        fresh, idle, told, told_ms = zeros, zeros, zeros, zeros
-        received = late = aged = 0
-        late_age = age = 0.0
-    else:
-        fresh, idle = before.fresh, before.idle
-        told, told_ms = before.told, before.told_ms
-        received, late, aged = before.received, before.late, before.aged
-        late_age, age = before.late_age, before.age
     return _Totals(
         arrival=timing.arrival,
         device=timing.device,
         sequence=timing.sequence,
-        received=received + 1,
-        late=late + is_late,
-        late_age=late_age + timing.age * is_late,
-        aged=aged + (timing.age > 0.0),
-        age=age + timing.age,
-        fresh=fresh + is_fresh,
-        idle=idle + is_idle,
-        told=told + (timing.period_ms > 0),
-        told_ms=told_ms + timing.period_ms,
+        received=before.received + 1,
+        late=before.late + is_late,
+        late_age=before.late_age + timing.age * is_late,
+        aged=before.aged + (timing.age > 0.0),
+        age=before.age + timing.age,
+        samples=before.samples
+        + np.array([is_fresh, is_idle, timing.period_ms > 0, timing.period_ms]),
     )
 
 
@@ -363,9 +348,6 @@ def _measure_sensors(old, new, period):
     Frames that were lost do not count: of those that came, a sensor was new
     in so many.
     """
-    fresh, idle = new.fresh - old.fresh, new.idle - old.idle
-    told, told_ms = new.told - old.told, new.told_ms - old.told_ms
-    counted = np.where(
-        fresh > 0, period * (fresh + idle) / np.maximum(fresh, 1), 0.0
-    )
+    fresh, idle, told, told_ms = new.samples - old.samples
+    counted = period * (fresh + idle) / np.maximum(fresh, 1) * (fresh > 0)
     return np.maximum(counted, 1e-3 * told_ms / np.maximum(told, 1))
