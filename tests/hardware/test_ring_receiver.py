@@ -1,5 +1,6 @@
 import dataclasses as dc
 import unittest
+from unittest import mock
 
 import numpy as np
 
@@ -418,6 +419,16 @@ class TestRingDecoder(unittest.TestCase):
             atol=0.00051,
         )
         self.assertEqual(list(decoder.counts), ["base", "elbow", "tool"])
+
+    def test_a_flood_for_other_rings_is_not_even_decoded(self):
+        """Decoded, 15 000 of them in a second cost a ring its own frames."""
+        decoder = self.make_decoder()
+        with mock.patch.object(mut, "decode_frame") as decode:
+            for ring in (3, 255):
+                data = encode_frame(self.make_frame(ring, 0))
+                self.assertFalse(decoder.receive_datagram(data, _HOST))
+            decode.assert_not_called()
+        self.assertEqual((decoder.unknown, decoder.corrupt), (2, {}))
 
     def test_counts_damage_of_both_carriers(self):
         decoder = self.make_decoder()

@@ -335,19 +335,22 @@ def _measure(totals, clock_error, budget):
         age=(new.age - old.age) / aged if aged else np.nan,
         late=late / all_frames,
         late_age=(new.late_age - old.late_age) / late if late else np.nan,
-        sensor_period=_measure_sensors(old, new, period)
+        sensor_period=_measure_sensors(old, new, period, budget.window)
         if is_known
         else np.empty(0),
         clock_error=clock_error,
     )
 
 
-def _measure_sensors(old, new, period):
+def _measure_sensors(old, new, period, window):
     """Returns each sensor's period, s, (n,): as counted or told; 0: unknown.
 
     Frames that were lost do not count: of those that came, a sensor was new
-    in so many.
+    in so many. One that was started takes its time to its first sample, and
+    is counted only after half a window.
     """
     fresh, idle, told, told_ms = new.samples - old.samples
-    counted = period * (fresh + idle) / np.maximum(fresh, 1) * (fresh > 0)
+    answered = period * (fresh + idle)
+    counted = answered / np.maximum(fresh, 1)
+    counted[(fresh == 0) | (answered < 0.5 * window)] = 0.0
     return np.maximum(counted, 1e-3 * told_ms / np.maximum(told, 1))

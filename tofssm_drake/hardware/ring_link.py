@@ -38,6 +38,8 @@ from where it may come, before it is decoded; in the reader's thread."""
 
 _REOPEN_PERIOD = 0.5
 _LONGEST_READ = 4096
+# What the system keeps until it is read, bytes; it may grant less.
+_BUFFER = 1 << 20
 
 
 @dc.dataclass(frozen=True, kw_only=True)
@@ -55,7 +57,7 @@ class RingLinkStatus:
     foreign: int = 0
     """Datagrams of senders that are not named."""
     unknown: int = 0
-    """Whole frames of rings that are not ours."""
+    """Frames of rings that are not ours."""
     measured: dict[str, float]
     """Host's time at which the oldest sample of each ring's newest scan was
     measured, s; -inf: none yet."""
@@ -193,6 +195,10 @@ class UdpTransport:
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         try:
             self._socket.setblocking(False)
+            # What comes in a burst must not push a ring's frame out.
+            self._socket.setsockopt(
+                socket.SOL_SOCKET, socket.SO_RCVBUF, _BUFFER
+            )
             if address.interface:
                 # By itself an address takes what comes in anywhere.
                 self._socket.setsockopt(

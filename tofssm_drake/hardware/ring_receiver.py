@@ -38,6 +38,7 @@ from tofssm_drake.hardware.ring_frame import (
     FrameStream,
     RingFrame,
     decode_frame,
+    peek_ring,
     unwrap,
 )
 from tofssm_drake.messages import RINGS, RingScan
@@ -364,7 +365,7 @@ class RingDecoder:
     """Turns what comes over the wires into scans of all rings.
 
     Attributes:
-        unknown: Whole frames of rings that are not ours.
+        unknown: Frames of rings that are not ours.
     """
 
     def __init__(
@@ -421,6 +422,11 @@ class RingDecoder:
             data: The datagram.
             arrival: Host's monotonic time, s; does not fall.
         """
+        # A flood of them must not cost what a ring's own frames need.
+        ring = peek_ring(data)
+        if ring is not None and ring not in self._receivers:
+            self.unknown += 1
+            return False
         try:
             frame = decode_frame(data)
         except FrameError as error:
