@@ -132,8 +132,23 @@ class Cell:
         )
 
     def heal(self):
-        """Ends all faults of the rings."""
-        self._injectors = [FaultInjector() for _ in RINGS]
+        """Ends all faults of the rings: their devices begin anew."""
+        self._injectors = [
+            FaultInjector(
+                [
+                    # One frame that says so.
+                    RingFault(
+                        kind="restart",
+                        ring=ring,
+                        start=0.0,
+                        end=self.time + self.scenario.rings.period,
+                    )
+                ]
+            )
+            if injector.faults
+            else injector
+            for ring, injector in zip(RINGS, self._injectors, strict=True)
+        ]
 
     def wait_until(self, condition, timeout=10.0):
         """Runs until a condition of the newest result holds."""

@@ -159,7 +159,7 @@ class TestWithinTheBudget(unittest.TestCase):
             self.assertEqual(ring.problem, "")
 
     def test_one_percent_of_independent_losses(self):
-        """An alarm in six days of three rings; here are ten minutes of one."""
+        """An alarm in five days of three rings; here are ten minutes of one."""
         budget = mut.RingBudget()
         frames = int(budget.window / _PERIOD)
         most = int(budget.max_lost * budget.window / _PERIOD)

@@ -421,7 +421,7 @@ class TestRingDecoder(unittest.TestCase):
         self.assertEqual(list(decoder.counts), ["base", "elbow", "tool"])
 
     def test_a_flood_for_other_rings_is_not_even_decoded(self):
-        """Decoded, 15 000 of them in a second cost a ring its own frames."""
+        """Decoded, 20 000 of them in a second cost a ring its own frames."""
         decoder = self.make_decoder()
         with mock.patch.object(mut, "decode_frame") as decode:
             for ring in (3, 255):

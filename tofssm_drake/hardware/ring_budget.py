@@ -7,7 +7,7 @@ last seconds, and told in one line with figures where it is too much.
 Figures are differences of running totals, the newest less those of a window
 before: a frame costs the same however long the window is.
 
-What can not be seen: a delay that is there from a device's first frame on. It
+What cannot be seen: a delay that is there from a device's first frame on. It
 looks like an offset of its clock (see ring_clock.py).
 """
 
@@ -45,8 +45,8 @@ class RingBudget:
     max_age: float = 0.034
 
     # Over how long all is measured, s (*assumed*). With 1 % of the frames
-    # lost independently, three rings of 24 ms exceed `max_lost` once in 19
-    # minutes over one second, once in 6 days over two.
+    # lost independently, three rings of 24 ms exceed `max_lost` once in 21
+    # minutes over one second, once in 5 days over two.
     window: float = 2.0
 
     # Greatest part of a window's frames that may be lost, and that may be

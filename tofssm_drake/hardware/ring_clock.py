@@ -68,7 +68,7 @@ def update_clock_map(
     device: float,
     host: float,
     max_drift: float,
-    is_suspect: bool = False,
+    is_late: bool = False,
 ) -> ClockMap:
     """Returns what is known after one frame more.
 
@@ -77,13 +77,13 @@ def update_clock_map(
         device: Device time in the frame, s; after that of the frame before.
         host: Host time of its arrival, s.
         max_drift: Greatest drift of the two clocks, s/s.
-        is_suspect: The link is known to be out of order. The clock is taken
-            to go on as it was measured to: else a delay that stays would
-            become an offset little by little, and its samples young again.
+        is_late: Samples of late were too old. The clock is taken to go on as
+            it was measured to: else a delay that stays would become an offset
+            little by little, and its samples young again.
     """
     elapsed = device - clock.device
     sample = host - device
-    rate = min(clock.drift, max_drift) if is_suspect else max_drift
+    rate = min(clock.drift, max_drift) if is_late else max_drift
     offset = min(sample, clock.offset + rate * elapsed)
     anchors = clock.anchors
     # The first second may still be finding the fastest frames.

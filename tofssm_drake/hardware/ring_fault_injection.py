@@ -380,12 +380,16 @@ class Delivery:
 class FaultInjector:
     """Does to one ring's frames what its faults do.
 
-    Args:
+    A clock that was wrong shows the right time again at the end of its fault,
+    which may be a jump back: a real device begins anew then.
+
+    Attributes:
         faults: Of this ring.
     """
 
     def __init__(self, faults: Iterable[RingFault] = ()):
-        self._faults = tuple(faults)
+        """Takes the faults of one ring."""
+        self.faults = tuple(faults)
         self._memories: dict[RingFault, _Memory] = {}
         self._deliveries: list[Delivery] = []
 
@@ -397,7 +401,7 @@ class FaultInjector:
             time: When, s, on the clock of the faults.
         """
         is_damaged, delay = False, 0.0
-        for fault in self._faults:
+        for fault in self.faults:
             if not fault.start <= time < fault.end:
                 continue
             kind = _KINDS[fault.kind]

@@ -274,7 +274,7 @@ class RingReceiver:
             device=device,
             host=arrival,
             max_drift=self._config.max_drift,
-            is_suspect=bool(self.watch.problem),
+            is_late=self.watch.figures.late > 0.0,
         )
         return True
 
