@@ -156,14 +156,19 @@ class SimulatedRings:
             if scan.sequence == self._sequence[i]:
                 continue
             self._sequence[i] = scan.sequence
-            frame, is_damaged = self._injectors[i].apply(
-                make_frame(
-                    scan,
-                    ring=self._ring_numbers[i],
-                    timing_budget=self._timing_budget,
-                    clock=self._clocks[i],
-                ),
-                scan.time,
+            frame = make_frame(
+                scan,
+                ring=self._ring_numbers[i],
+                timing_budget=self._timing_budget,
+                period=self._period,
+                clock=self._clocks[i],
             )
-            if frame is not None and self._send(frame, is_damaged):
-                self.sent[ring] += 1
+            self._injectors[i].put(frame, scan.time)
+        self._deliver(time)
+
+    def _deliver(self, time):
+        """Sends what is not held up any more."""
+        for ring, injector in zip(RINGS, self._injectors, strict=True):
+            for delivery in injector.take(time):
+                if self._send(delivery.frame, delivery.is_damaged):
+                    self.sent[ring] += 1

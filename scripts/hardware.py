@@ -25,6 +25,7 @@ from tofssm_drake.diagrams.hardware_run import (
     set_control_period,
     wait_for_robot,
 )
+from tofssm_drake.diagrams.ring_decoder import make_ring_decoder
 from tofssm_drake.diagrams.scenario import (
     NoHuman,
     dump_scenario,
@@ -38,7 +39,6 @@ from tofssm_drake.hardware.ring_address import (
     require_distinct,
 )
 from tofssm_drake.hardware.ring_link import RingLink
-from tofssm_drake.hardware.ring_receiver import RingDecoder, RingLinkConfig
 from tofssm_drake.hardware.robot_connection import RtdeStatus
 from tofssm_drake.hardware.rtde_client import RtdeClient
 from tofssm_drake.hardware.run_record import RunRecorder
@@ -245,10 +245,8 @@ def hardware(
             link = stack.enter_context(
                 RingLink(
                     addresses=addresses,
-                    decoder=RingDecoder(
-                        config=RingLinkConfig(),
-                        num_sensors=scenario.sensors_per_ring,
-                        timing_budget=scenario.rings.sensor.timing_budget,
+                    decoder=make_ring_decoder(
+                        scenario, control_period=control_period
                     ),
                     tap=None if recorder is None else recorder.add_ring_bytes,
                 )

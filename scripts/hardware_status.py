@@ -204,8 +204,8 @@ def describe_status(
     """Returns the line that stays, no wider than the terminal.
 
     State, nearest ring and distance, speed fraction commanded and echoed,
-    ages of what came last, gaps (packages and frames that never came), and
-    what else there is room for.
+    ages of the robot's report and of what the rings measured, gaps (packages
+    and frames that never came), and what else there is room for.
 
     Args:
         result: Of the newest tick.
@@ -224,7 +224,7 @@ def describe_status(
     ages = f"age robot {_format_age(now - report.time)}"
     gaps = f"gaps {report.missed - missed_before}"
     if rings is not None:
-        ages += f", rings {_format_age(now - min(rings.arrival.values()))}"
+        ages += f", rings {_format_age(now - min(rings.measured.values()))}"
         gaps += f", {sum(c.lost for c in rings.counts.values())}"
     parts = [
         RobotState(result.robot_state).name.lower(),

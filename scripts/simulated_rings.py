@@ -65,9 +65,9 @@ def simulated_rings(
         list[str] | None,
         typer.Option(
             help="What goes wrong and when, s after the start; may be given "
-            "again. KIND is silent, corrupt, duplicate, frozen, late, "
-            "implausible, bus or restart.",
-            metavar="KIND:RING@START[-END]",
+            "again. KIND is silent, bus, status254, latency30, ...: "
+            "docs/ring_link.md has them all.",
+            metavar="KIND:RING[.SENSOR]@START[-END]",
         ),
     ] = None,
     duration: Annotated[
@@ -96,7 +96,6 @@ def simulated_rings(
             isinstance(address, UdpAddress),
             f"--to: {to!r} is no UDP address; for a serial line use --pty",
         )
-    faults = [parse_ring_fault(text) for text in fault or []]
     scenario = load_scenario(
         filename=scenario_file, name=scenario_name, text=scenario_text
     )
@@ -106,6 +105,10 @@ def simulated_rings(
         human_motion=human_motion,
         seed=seed,
     )
+    faults = [
+        parse_ring_fault(text, sensors=scenario.sensors_per_ring)
+        for text in fault or []
+    ]
     config = options.make_robot_config(
         robot_host, robot_port, robot_text, write=False
     )

@@ -133,6 +133,28 @@ class TestSimulatedRings(unittest.TestCase):
             if frame.ring == 2:
                 self.assertEqual(damaged, time > 0.3)
 
+    def test_links_beyond_their_budget(self):
+        for kind, says in (
+            ("latency30", "samples 4[6-9] ms old on arrival, 34 ms allowed"),
+            ("latency1000", "samples 10.. ms old on arrival"),
+            ("loss10", "% of frames lost in the last 2 s"),
+            ("period37", "^period .* ms, configured 24 ms"),
+            ("clockfast", "^clock .* % fast"),
+            ("clockslow", "samples 3. ms old|clock .* % slow"),
+            ("slow48", "sensor 0: period .* ms, configured 24 ms"),
+            ("slow72", "sensor 0: period .* ms, configured 24 ms"),
+        ):
+            with self.subTest(kind=kind):
+                link = self.make_link()
+                self.run_rings(
+                    seconds=6.0,
+                    link=link,
+                    faults=[parse_ring_fault(f"{kind}:tool@1.5")],
+                )
+                base, elbow, tool = link.get_scans()
+                self.assertRegex(tool.problem, says)
+                self.assertEqual((base.problem, elbow.problem), ("", ""))
+
     def test_another_seed_is_another_noise(self):
         frames = []
         for seed in (0, 1):

@@ -13,6 +13,7 @@ from robot_room import make_robot
 
 from tofssm_drake.diagrams.hardware_loop import HardwareLoop
 from tofssm_drake.diagrams.hardware_run import HardwareRun
+from tofssm_drake.diagrams.ring_decoder import make_ring_decoder
 from tofssm_drake.diagrams.scenario import load_scenario
 from tofssm_drake.diagrams.simulated_rings import (
     SimulatedRings,
@@ -25,7 +26,6 @@ from tofssm_drake.hardware.ring_fault_injection import (
 )
 from tofssm_drake.hardware.ring_frame import encode_frame
 from tofssm_drake.hardware.ring_link import LoopbackRingLink
-from tofssm_drake.hardware.ring_receiver import RingDecoder, RingLinkConfig
 from tofssm_drake.hardware.robot_connection import RtdeStatus
 from tofssm_drake.hardware.rtde_protocol import Recipe
 from tofssm_drake.hardware.rtde_report import ReportMaker, list_outputs
@@ -81,13 +81,7 @@ class Cell:
         self._session = 0
         self._last = math.nan
         self._begin_session()
-        self._link = LoopbackRingLink(
-            decoder=RingDecoder(
-                config=RingLinkConfig(),
-                num_sensors=self.scenario.sensors_per_ring,
-                timing_budget=self.scenario.rings.sensor.timing_budget,
-            )
-        )
+        self._link = LoopbackRingLink(decoder=make_ring_decoder(self.scenario))
         self._injectors = [FaultInjector() for _ in RINGS]
         self._rings = SimulatedRings(
             scenario=self.scenario, send=self._receive_frame
@@ -131,15 +125,30 @@ class Cell:
         self.result = self.run.step() or self.result
         return self.result
 
-    def inject(self, kind, ring):
-        """Begins a fault of a ring."""
+    def inject(self, kind, ring, sensor=None):
+        """Begins a fault of a ring, or of one of its sensors alone."""
         self._injectors[RINGS.index(ring)] = FaultInjector(
-            [RingFault(kind=kind, ring=ring, start=0.0)]
+            [RingFault(kind=kind, ring=ring, start=0.0, sensor=sensor)]
         )
 
     def heal(self):
-        """Ends all faults of the rings."""
-        self._injectors = [FaultInjector() for _ in RINGS]
+        """Ends all faults of the rings: their devices begin anew."""
+        self._injectors = [
+            FaultInjector(
+                [
+                    # One frame that says so.
+                    RingFault(
+                        kind="restart",
+                        ring=ring,
+                        start=0.0,
+                        end=self.time + self.scenario.rings.period,
+                    )
+                ]
+            )
+            if injector.faults
+            else injector
+            for ring, injector in zip(RINGS, self._injectors, strict=True)
+        ]
 
     def wait_until(self, condition, timeout=10.0):
         """Runs until a condition of the newest result holds."""
@@ -200,6 +209,7 @@ class Cell:
                 self._wake_time, self._newest, _HOST + self._wake_time
             )
             self._wake_time = next(self._wake_times)
+        self._deliver_frames()
         if self.is_silent:
             if self.time - (self._report.time - _HOST) > _STREAM_TIMEOUT:
                 self._begin_session()
@@ -236,11 +246,15 @@ class Cell:
         )
 
     def _receive_frame(self, frame, is_damaged):
-        frame, is_damaged = self._injectors[frame.ring].apply(frame, self.time)
-        if frame is None:
-            return False
-        data = encode_frame(frame)
-        self._link.put_datagram(
-            damage(data) if is_damaged else data, _HOST + self._wake_time
-        )
+        self._injectors[frame.ring].put(frame, self._wake_time)
         return True
+
+    def _deliver_frames(self):
+        """Hands over the frames that have come, each with its own arrival."""
+        for injector in self._injectors:
+            for delivery in injector.take(self.time):
+                data = encode_frame(delivery.frame)
+                self._link.put_datagram(
+                    damage(data) if delivery.is_damaged else data,
+                    _HOST + delivery.time,
+                )

@@ -80,6 +80,24 @@ class TestClockMap(unittest.TestCase):
         self.assertLess(estimate - t, 60.0 * _MAX_DRIFT + 1e-9)
         self.assertGreater(clock.lateness, 0.085)
 
+    def test_a_link_that_is_late_goes_on_as_it_did(self):
+        """100 ms of delay for an hour, with a drift that was measured."""
+        drift = 100e-6
+        clock = None
+        for i in range(150_000):
+            host = 0.024 * i + (0.1 if i > 2000 else 0.0)
+            device = 0.024 * i * (1.0 - drift)
+            if clock is None:
+                clock = mut.start_clock_map(device=device, host=host)
+            clock = mut.update_clock_map(
+                clock,
+                device=device,
+                host=host,
+                max_drift=_MAX_DRIFT,
+                is_late=clock.lateness > 0.018,
+            )
+        self.assertAlmostEqual(clock.lateness, 0.1, delta=0.003)
+
     def test_a_clock_that_is_too_slow_looks_late(self):
         *_, (_, _, clock) = self.simulate(
             drift=2e-3, seconds=60.0, delay=lambda t, g: 0.0

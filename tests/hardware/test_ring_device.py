@@ -1,28 +1,15 @@
-import dataclasses as dc
 import os
 import socket
 import unittest
 
-from hypothesis import given
-from hypothesis import strategies as st
 import numpy as np
 
-from tofssm_drake.errors import UserError
 from tofssm_drake.hardware.ring_address import UdpAddress
 import tofssm_drake.hardware.ring_device as mut
-from tofssm_drake.hardware.ring_fault_injection import (
-    FAULTS,
-    FaultInjector,
-    RingFault,
-    damage,
-    parse_ring_fault,
-)
 from tofssm_drake.hardware.ring_frame import (
     FrameError,
-    FrameStream,
     decode_frame,
     encode_frame,
-    encode_serial,
 )
 from tofssm_drake.messages import RingScan
 
@@ -47,7 +34,16 @@ class TestMakeFrame(unittest.TestCase):
         )
         self.assertEqual(frame.status.tolist(), [3, 0, 0, 2, 4, 255, 1, 254])
         self.assertEqual(frame.age_ms.tolist(), [0, 1, 2, 3, 4, 5, 245, 255])
+        # The device does not know its period.
+        self.assertEqual(frame.period_ms.tolist(), [0] * 8)
         encode_frame(frame)
+
+    def test_period(self):
+        for period, expected in ((0.024, 24), (0.3, 255)):
+            frame = mut.make_frame(
+                make_scan(), ring=2, timing_budget=0.020, period=period
+            )
+            self.assertEqual(frame.period_ms.tolist(), [expected] * 8)
 
     def test_clock_and_sequence_wrap(self):
         clock = mut.DeviceClock(start=4294.0, drift=100e-6)
@@ -98,83 +94,6 @@ class TestSenders(unittest.TestCase):
         while len(received) < 256:
             received += os.read(reader, 256)
         self.assertEqual(received, data)
-
-
-class TestFaults(unittest.TestCase):
-    def test_parse(self):
-        self.assertEqual(
-            parse_ring_fault("silent:elbow@20-25.5"),
-            RingFault(kind="silent", ring="elbow", start=20.0, end=25.5),
-        )
-        self.assertEqual(parse_ring_fault("late:base@3").end, np.inf)
-        for text, message in (
-            ("", "no fault"),
-            ("silent", "no fault"),
-            ("silent:elbow", "no fault"),
-            ("silent:elbow@", "no fault"),
-            ("silent:elbow@-1", "no fault"),
-            ("silent:elbow@nan", "no fault"),
-            ("loud:elbow@1", "'loud' is unknown"),
-            ("silent:wrist@1", "no ring 'wrist'"),
-            ("silent:elbow@5-5", "ends before"),
-        ):
-            with self.subTest(text=text):
-                with self.assertRaisesRegex(UserError, message):
-                    parse_ring_fault(text)
-
-    def run_fault(self, kind):
-        """Frames 0 to 29; the fault is there from 10 to 20."""
-        injector = FaultInjector(
-            [RingFault(kind=kind, ring="base", start=1.0, end=2.0)]
-        )
-        result = []
-        for i in range(30):
-            scan = dc.replace(
-                make_scan(sequence=i), distance=np.full(8, 0.5 + 0.01 * i)
-            )
-            frame = mut.make_frame(scan, ring=0, timing_budget=0.02)
-            frame = dc.replace(frame, time_us=1000 * i)
-            result.append((frame, *injector.apply(frame, 0.1 * i + 0.001)))
-        for i in (*range(10), *range(20, 30)):
-            self.assertIs(result[i][0], result[i][1])
-            self.assertFalse(result[i][2])
-        return result[10:20]
-
-    def test_each_does_what_it_says(self):
-        done = {kind: self.run_fault(kind) for kind in FAULTS}
-        self.assertEqual([f for _, f, _ in done["silent"]], [None] * 10)
-        self.assertTrue(all(damaged for _, _, damaged in done["corrupt"]))
-        first = done["duplicate"][0][0]
-        self.assertTrue(all(f is first for _, f, _ in done["duplicate"]))
-        for sent, frame, _ in done["frozen"]:
-            self.assertEqual(frame.sequence, sent.sequence)
-            self.assertEqual(frame.time_us, sent.time_us)
-            self.assertEqual(frame.mm.tolist(), [600] * 8)
-        self.assertEqual([f for _, f, _ in done["late"][:8]], [None] * 8)
-        self.assertIs(done["late"][8][1], done["late"][0][0])
-        for _, frame, _ in done["implausible"]:
-            self.assertEqual(frame.mm.tolist(), [65535] * 8)
-            self.assertEqual(frame.status.tolist(), [0] * 8)
-        for _, frame, _ in done["bus"]:
-            self.assertEqual(frame.status.tolist(), [253] * 8)
-        for _, frame, _ in done["restart"]:
-            self.assertEqual(frame.flags, 1)
-        for kind in ("frozen", "implausible", "bus", "restart"):
-            for _, frame, _ in done[kind]:
-                encode_frame(frame)
-
-    @given(st.integers(0, 65535), st.integers(0, 2**32 - 1))
-    def test_damage_is_always_seen(self, sequence, time_us):
-        frame = mut.make_frame(make_scan(), ring=0, timing_budget=0.02)
-        frame = dc.replace(frame, sequence=sequence, time_us=time_us)
-        with self.assertRaises(FrameError):
-            decode_frame(damage(encode_frame(frame)))
-        stream = FrameStream()
-        stream.push(b"\0")
-        line = encode_serial(frame)
-        self.assertEqual(stream.push(damage(line)), [])
-        self.assertEqual(sum(stream.errors.values()), 1)
-        self.assertEqual(len(stream.push(line)), 1)
 
 
 if __name__ == "__main__":

@@ -44,14 +44,17 @@ class TestDocument(unittest.TestCase):
             bytes.fromhex(block)
             for block in re.findall(r"```\n([0-9a-f \n]+)```", self.text)
         ]
-        rows = [read_row(name, self.text) for name in ("mm", "status", "age")]
+        rows = [
+            read_row(name, self.text)
+            for name in ("mm", "status", "age", "period")
+        ]
         self.assertEqual(len(headers), 2)
         self.assertEqual(len(blocks), 4)
         for i, (header, *samples) in enumerate(
             zip(headers, *rows, strict=True)
         ):
             ring, flags, sequence, time_us = map(int, header)
-            mm, status, age = samples
+            mm, status, age, period = samples
             frame = RingFrame(
                 ring=ring,
                 flags=flags,
@@ -60,6 +63,7 @@ class TestDocument(unittest.TestCase):
                 mm=mm,
                 status=status,
                 age_ms=age,
+                period_ms=period,
             )
             self.assertEqual(encode_frame(frame), blocks[2 * i])
             self.assertEqual(encode_serial(frame), blocks[2 * i + 1])
@@ -86,7 +90,7 @@ class TestFirmware(unittest.TestCase):
         return int(value, 0)
 
     def test_example_that_it_checks_itself_by(self):
-        samples = np.array(self.read_array("kExampleSamples")).reshape(-1, 3)
+        samples = np.array(self.read_array("kExampleSamples")).reshape(-1, 4)
         (arguments,) = re.findall(r"build\((\d[\d, ]+), kExample", self.text)
         ring, flags, sequence, time_us = map(int, arguments.split(","))
         frame = RingFrame(
@@ -97,6 +101,7 @@ class TestFirmware(unittest.TestCase):
             mm=samples[:, 0],
             status=samples[:, 1],
             age_ms=samples[:, 2],
+            period_ms=samples[:, 3],
         )
         self.assertEqual(
             bytes(self.read_array("kExampleFrame")), encode_frame(frame)

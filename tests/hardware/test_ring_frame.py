@@ -10,12 +10,14 @@ import tofssm_drake.hardware.ring_frame as mut
 
 # By hand from the table of the specification; docs/ring_link.md has the same.
 _PLAIN = bytes.fromhex(
-    "54 52 01 01 08 00 07 00 40 e2 01 00 f4 01 00 03 d2 04 00 05 ff ff 02 04"
-    "00 00 fe ff 28 00 03 00 2c 03 01 0c 00 00 fd ff 14 05 07 09 91 85"
+    "54 52 02 01 08 00 07 00 40 e2 01 00 f4 01 00 03 18 d2 04 00 05 18 ff ff"
+    "02 04 19 00 00 fe ff 30 28 00 03 00 18 2c 03 01 0c 00 00 00 fd ff ff 14"
+    "05 07 09 17 1a 8e"
 )
 _COBS = bytes.fromhex(
-    "06 54 52 01 01 08 02 07 04 40 e2 01 03 f4 01 04 03 d2 04 06 05 ff ff 02"
-    "04 01 04 fe ff 28 02 03 05 2c 03 01 0c 01 09 fd ff 14 05 07 09 91 85 00"
+    "06 54 52 02 01 08 02 07 04 40 e2 01 03 f4 01 05 03 18 d2 04 08 05 18 ff"
+    "ff 02 04 19 01 05 fe ff 30 28 02 03 06 18 2c 03 01 0c 01 01 0b fd ff ff"
+    "14 05 07 09 17 1a 8e 00"
 )
 
 
@@ -27,6 +29,7 @@ def make_example():
         mm=np.array([500, 1234, 65535, 0, 40, 812, 0, 1300]),
         status=np.array([0, 0, 2, 254, 3, 1, 253, 7]),
         age_ms=np.array([3, 5, 4, 255, 0, 12, 255, 9]),
+        period_ms=np.array([24, 24, 25, 48, 24, 0, 255, 23]),
     )
 
 
@@ -47,6 +50,7 @@ def frames(draw):
         mm=numbers(0xFFFF),
         status=numbers(0xFF),
         age_ms=numbers(0xFF),
+        period_ms=numbers(0xFF),
     )
 
 
@@ -68,20 +72,20 @@ class TestFrame(unittest.TestCase):
         frame = mut.decode_frame(_PLAIN)
         self.assertEqual((frame.ring, frame.flags), (1, 0))
         self.assertEqual((frame.sequence, frame.time_us), (7, 123456))
-        for name in ("mm", "status", "age_ms"):
+        for name in ("mm", "status", "age_ms", "period_ms"):
             np.testing.assert_array_equal(
                 getattr(frame, name), getattr(make_example(), name)
             )
 
     def test_crc(self):
         self.assertEqual(mut.calc_crc(b"123456789"), 0x29B1)
-        for size in (0, 1, 44, 76):
+        for size in (0, 1, 52, 92):
             data = random.Random(size).randbytes(size)
             self.assertEqual(mut.calc_crc(data), crc_bit_by_bit(data))
 
     def test_sizes(self):
-        self.assertEqual(mut.calc_frame_size(8), 46)
-        self.assertEqual(mut.calc_frame_size(16), 78)
+        self.assertEqual(mut.calc_frame_size(8), 54)
+        self.assertEqual(mut.calc_frame_size(16), 94)
 
     @given(frames())
     def test_round_trip(self, frame):
@@ -91,7 +95,7 @@ class TestFrame(unittest.TestCase):
         self.assertEqual(mut.encode_frame(again), data)
         for name in ("ring", "flags", "sequence", "time_us"):
             self.assertEqual(getattr(again, name), getattr(frame, name))
-        for name in ("mm", "status", "age_ms"):
+        for name in ("mm", "status", "age_ms", "period_ms"):
             np.testing.assert_array_equal(
                 getattr(again, name), getattr(frame, name)
             )
@@ -112,15 +116,15 @@ class TestFrame(unittest.TestCase):
         self.assertEqual(self.change(0, ord("T")), _PLAIN)
         self.check_wrong("magic", self.change(0, ord("t")))
         self.check_wrong("magic", self.change(1, 0))
-        self.check_wrong("version", self.change(2, 2))
+        self.check_wrong("version", self.change(2, 1))
         for n in (0, 7, 9, 16, 255):
             self.check_wrong("length", self.change(4, n))
         for flags in (0x08, 0x10, 0x20, 0x40):
             self.check_wrong("flags", self.change(5, flags))
-        for size in (0, 1, 11, 12, 45):
+        for size in (0, 1, 11, 12, 46, 53):
             self.check_wrong("length", _PLAIN[:size])
         self.check_wrong("length", _PLAIN + b"\0")
-        self.check_wrong("crc", _PLAIN[:-1] + b"\x84")
+        self.check_wrong("crc", _PLAIN[:-1] + b"\x8f")
         # Big-endian.
         self.check_wrong("crc", _PLAIN[:-2] + _PLAIN[:-3:-1])
 
@@ -140,6 +144,7 @@ class TestFrame(unittest.TestCase):
             {"mm": np.full(8, np.nan)},
             {"status": np.full(8, 256)},
             {"age_ms": np.full(9, 0)},
+            {"period_ms": np.full(8, 256)},
         ):
             with self.subTest(change=change), self.assertRaises(ValueError):
                 mut.encode_frame(dc.replace(frame, **change))
@@ -259,7 +264,12 @@ def identify(frame):
         *(frame.ring, frame.flags, frame.sequence, frame.time_us),
         *(
             np.asarray(values, int).tobytes()
-            for values in (frame.mm, frame.status, frame.age_ms)
+            for values in (
+                frame.mm,
+                frame.status,
+                frame.age_ms,
+                frame.period_ms,
+            )
         ),
     )
 
@@ -280,6 +290,7 @@ class TestFuzz(unittest.TestCase):
                 mm=np.array([generator.randrange(1400) for _ in range(n)]),
                 status=np.array([generator.choice((0, 2)) for _ in range(n)]),
                 age_ms=np.array([generator.randrange(6) for _ in range(n)]),
+                period_ms=np.full(n, 24),
             )
             cls.lines.append(
                 (

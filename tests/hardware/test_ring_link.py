@@ -346,12 +346,34 @@ class TestOtherLinks(unittest.TestCase):
             )
         self.assertTrue(link.wait_for_scans(10.0))
         self.assertEqual([s.time for s in link.get_scans()], [7.0] * 3)
-        self.assertEqual(link.get_status().arrival["tool"], 7.0)
+        # Half the timing budget and a millisecond on the way.
+        self.assertAlmostEqual(link.get_status().measured["tool"], 6.989)
         self.assertEqual(
             link.get_status().describe(7.05),
-            "base 50 ms, elbow 50 ms, tool 50 ms",
+            "base 61 ms, elbow 61 ms, tool 61 ms",
         )
         link.close()
+
+    def test_a_sample_of_unknown_age_does_not_count(self):
+        scan = RingScan(sensor_time=np.array([3.0, -np.inf, 2.5]))
+        self.assertEqual(mut.calc_measured_time(scan), 2.5)
+        for scan in (RingScan(), RingScan(sensor_time=np.full(3, -np.inf))):
+            self.assertEqual(mut.calc_measured_time(scan), -np.inf)
+
+    def test_a_link_beyond_its_budget_is_told(self):
+        """Frames of 24 ms that come half a second late at once."""
+        link = mut.LoopbackRingLink(decoder=make_decoder())
+        for i in range(200):
+            frame = dc.replace(make_example(1, i), time_us=24_000 * i)
+            delay = 0.5 if i >= 100 else 0.0
+            link.put_datagram(encode_frame(frame), 100.0 + 0.024 * i + delay)
+        status = link.get_status()
+        problem = "samples 511 ms old on arrival, 34 ms allowed"
+        self.assertEqual(status.problem["elbow"], problem)
+        self.assertIn(
+            f"elbow 511 ms, tool -; elbow: {problem} (period 24.0 ms, 0 % lost",
+            status.describe(100.0 + 0.024 * 199 + 0.5),
+        )
 
     def test_null(self):
         link = mut.NullRingLink(decoder=make_decoder())

@@ -1,9 +1,11 @@
 import dataclasses as dc
 import unittest
+from unittest import mock
 
 import numpy as np
 
 from tofssm_drake.errors import UserError
+from tofssm_drake.hardware.ring_budget import RingBudget
 from tofssm_drake.hardware.ring_device import DeviceClock, make_frame
 from tofssm_drake.hardware.ring_frame import (
     FLAG_RESTARTED,
@@ -14,6 +16,11 @@ from tofssm_drake.hardware.ring_frame import (
 import tofssm_drake.hardware.ring_receiver as mut
 from tofssm_drake.messages import Reading, RingScan
 from tofssm_drake.sensing.readings import classify_readings
+from tofssm_drake.sensing.vl53l1x import (
+    STATUS_CONTESTED,
+    STATUS_FROZEN,
+    STATUS_SELF_TEST,
+)
 
 _PERIOD = 0.024
 _BUDGET = 0.020
@@ -38,6 +45,8 @@ def make_receiver(**changes):
         config=dc.replace(mut.RingLinkConfig(), **changes),
         num_sensors=8,
         timing_budget=_BUDGET,
+        # The samples of these scans are up to 19 ms old on arrival.
+        budget=RingBudget(),
     )
 
 
@@ -157,7 +166,7 @@ class TestRingReceiver(unittest.TestCase):
                 late = [scan for scan in told[-120:] if scan is not None]
                 self.assertGreater(len(late), 50)
                 for scan in late:
-                    np.testing.assert_array_equal(scan.status, 255)
+                    np.testing.assert_array_equal(scan.status, STATUS_CONTESTED)
                 self.assertTrue(receiver.is_contested)
                 self.assertGreater(receiver.counts.contested, 50)
                 # One of them is taken away.
@@ -210,13 +219,40 @@ class TestRingReceiver(unittest.TestCase):
                 atol=0.0016,
             )
 
-    def test_a_silence_starts_anew(self):
+    def test_a_silence_is_no_restart(self):
+        """Else a second of delay would be taken for an offset of the clock."""
+        for silence in (1.2, 600.0, 3600.0):
+            frames = round(silence / _PERIOD)
+            receiver = make_receiver()
+            run(receiver, range(40))
+            scans = run(receiver, range(40 + frames, 60 + frames))
+            with self.subTest(silence=silence):
+                self.assertEqual(receiver.counts.restarts, 0)
+                for scan in filter(None, scans):
+                    age = scan.time - scan.sensor_time[0]
+                    self.assertAlmostEqual(age, 0.013, delta=0.002)
+
+    def test_a_second_of_delay_that_comes_at_once_is_an_age(self):
         receiver = make_receiver()
         run(receiver, range(40))
-        scans = run(receiver, range(90, 130))
-        self.assertEqual(receiver.counts.restarts, 1)
-        self.assertIsNone(scans[10])
-        self.assertIsNotNone(scans[-1])
+        scans = run(receiver, range(40, 140), delay=1.0)
+        self.assertEqual(receiver.counts.restarts, 0)
+        for scan in scans:
+            self.assertGreater(scan.time - scan.sensor_time[0], 1.0)
+        self.assertRegex(scans[-1].problem, "samples 10.. ms old on arrival")
+
+    def test_statuses_of_the_host_do_not_come_over_the_wire(self):
+        receiver = make_receiver(settle_time=0.0)
+        sent = np.array([239, 240, 241, 242, 252, 253, 254, 255])
+        (scan,) = run(
+            receiver,
+            [0],
+            change=lambda frame: dc.replace(frame, status=sent),
+        )
+        self.assertEqual(
+            scan.status.tolist(), [239, 255, 255, 255, 255, 253, 254, 255]
+        )
+        self.assertEqual(scan.status.dtype, np.uint8)
 
     def test_a_clock_that_jumps_starts_anew(self):
         receiver = make_receiver()
@@ -295,7 +331,7 @@ class TestRingReceiver(unittest.TestCase):
         for i, scan in enumerate(scans):
             expected = np.zeros(8)
             # The first one repeats nothing.
-            expected[3] = 255 if i >= 12 else 0
+            expected[3] = STATUS_FROZEN if i >= 12 else 0
             np.testing.assert_array_equal(scan.status, expected)
         self.assertEqual(receiver.counts.frozen, 8)
         (scan,) = run(receiver, [60])
@@ -311,7 +347,7 @@ class TestRingReceiver(unittest.TestCase):
             return dc.replace(frame, mm=sent.mm, status=status)
 
         scans = run(receiver, range(40), change=change)
-        self.assertTrue((scans[-1].status == 255).all())
+        self.assertTrue((scans[-1].status == STATUS_FROZEN).all())
         off = make_receiver(frozen_samples=0)
         scans = run(off, range(40), change=change)
         np.testing.assert_array_equal(scans[-1].status, status)
@@ -338,7 +374,7 @@ class TestRingReceiver(unittest.TestCase):
             [0],
             change=lambda frame: dc.replace(frame, flags=FLAG_SELF_TEST),
         )
-        self.assertTrue((scan.status == 255).all())
+        self.assertTrue((scan.status == STATUS_SELF_TEST).all())
         self.assertEqual(receiver.counts.self_test, 1)
 
     def test_another_number_of_sensors_is_no_scan(self):
@@ -349,7 +385,7 @@ class TestRingReceiver(unittest.TestCase):
                 frame,
                 **{
                     name: np.tile(getattr(frame, name), 2)
-                    for name in ("mm", "status", "age_ms")
+                    for name in ("mm", "status", "age_ms", "period_ms")
                 },
             )
 
@@ -383,6 +419,16 @@ class TestRingDecoder(unittest.TestCase):
             atol=0.00051,
         )
         self.assertEqual(list(decoder.counts), ["base", "elbow", "tool"])
+
+    def test_a_flood_for_other_rings_is_not_even_decoded(self):
+        """Decoded, 20 000 of them in a second cost a ring its own frames."""
+        decoder = self.make_decoder()
+        with mock.patch.object(mut, "decode_frame") as decode:
+            for ring in (3, 255):
+                data = encode_frame(self.make_frame(ring, 0))
+                self.assertFalse(decoder.receive_datagram(data, _HOST))
+            decode.assert_not_called()
+        self.assertEqual((decoder.unknown, decoder.corrupt), (2, {}))
 
     def test_counts_damage_of_both_carriers(self):
         decoder = self.make_decoder()
@@ -437,7 +483,7 @@ class TestRingDecoder(unittest.TestCase):
             ({"ring_numbers": [0, 1, 256]}, "ring_numbers"),
             ({"max_drift": -1.0}, "max_drift"),
             ({"frozen_samples": -1}, "frozen_samples"),
-            ({"max_silence": float("nan")}, "max_silence"),
+            ({"max_earliness": float("nan")}, "max_earliness"),
         ):
             with self.assertRaisesRegex(UserError, message):
                 self.make_decoder(**changes)

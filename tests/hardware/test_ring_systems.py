@@ -396,6 +396,7 @@ class TestMonitorBehindTheLink(unittest.TestCase):
                         mm=np.tile(frame.mm, 2),
                         status=np.tile(frame.status, 2),
                         age_ms=np.tile(frame.age_ms, 2),
+                        period_ms=np.tile(frame.period_ms, 2),
                     )
                 )
             ]

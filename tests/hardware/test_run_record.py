@@ -5,6 +5,7 @@ import resource
 import tempfile
 import time
 import unittest
+from unittest import mock
 
 import jsonschema
 from mcap.reader import make_reader
@@ -46,6 +47,7 @@ def make_scan(k):
         sensor_time=np.array([k / 9, -np.inf]),
         distance=np.array([np.inf, np.nan]),
         status=np.array([0, 255], dtype=np.uint8),
+        problem="" if k % 2 else f"period {k} ms, NaN lost",
     )
 
 
@@ -92,6 +94,26 @@ class TestRunRecord(unittest.TestCase):
             for a, b in zip(was.scans, now.scans, strict=True):
                 self.assert_equal(a, b)
             self.assertEqual(now.early_scans, ())
+
+    def test_scans_of_before_there_were_problems(self):
+        """An older record has none: nothing was known to be wrong."""
+        scan = make_scan(0)
+        before = {n: v for n, v in vars(scan).items() if n != "problem"}
+        with (
+            mock.patch.object(mut, "vars", create=True) as plain,
+            mut.RunRecorder(self.path, {}) as recorder,
+        ):
+            plain.side_effect = lambda value: (
+                before if value is scan else value.__dict__
+            )
+            recorder.add_tick(make_tick(0, (scan, scan)))
+        (_, message) = self.read_messages("/tick")[0]
+        self.assertNotIn("problem", json.loads(message.data)["scans"][0])
+        (tick,) = mut.RunReader(self.path).read_ticks()
+        self.assertEqual(tick.scans[0].problem, "")
+        np.testing.assert_array_equal(
+            tick.scans[0].sensor_time, scan.sensor_time
+        )
 
     def test_scans_that_were_taken_early(self):
         a, b, c = map(make_scan, range(3))

@@ -1,3 +1,4 @@
+import dataclasses as dc
 import io
 import os
 import threading
@@ -6,6 +7,7 @@ import unittest
 
 import numpy as np
 
+from tofssm_drake.hardware.ring_budget import LinkFigures
 from tofssm_drake.hardware.ring_link import RingLinkStatus
 from tofssm_drake.hardware.ring_receiver import RingCounts
 from tofssm_drake.hardware.robot_connection import LoopbackConnection
@@ -41,7 +43,7 @@ def make_rings(**counts):
     return RingLinkStatus(
         source="udp",
         counts={"base": RingCounts(**counts), "tool": RingCounts()},
-        arrival={"base": 99.990, "tool": 99.979},
+        measured={"base": 99.990, "tool": 99.979},
     )
 
 
@@ -65,6 +67,25 @@ class TestStatus(unittest.TestCase):
         )
         line = self.describe(dry_run=True)
         self.assertTrue(line.startswith("reduced  dry run  tool"))
+
+    def test_a_late_link_is_seen(self):
+        """By when its samples were measured, not by when they came."""
+        rings = dc.replace(
+            make_rings(),
+            measured={"base": 99.990, "tool": 95.5},
+            problem={"base": "", "tool": "samples 4480 ms old on arrival"},
+            figures={
+                "base": LinkFigures(),
+                "tool": LinkFigures(period=0.024, lost=0.02, age=4.48),
+            },
+        )
+        line = self.describe(rings=rings)
+        self.assertIn("age robot 3, rings 4503 ms", line)
+        self.assertIn(
+            "base 13 ms, tool 4503 ms; tool: samples 4480 ms old on arrival "
+            "(period 24.0 ms, 2 % lost, 4480 ms old on arrival)",
+            line,
+        )
 
     def test_what_matters_fits_into_80_columns(self):
         line = self.describe(width=79, rings=make_rings())

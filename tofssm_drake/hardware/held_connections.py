@@ -7,7 +7,10 @@ live as in a replay.
 
 from collections.abc import Callable
 
-from tofssm_drake.hardware.ring_link import RingLinkStatus
+from tofssm_drake.hardware.ring_link import (
+    RingLinkStatus,
+    calc_measured_time,
+)
 from tofssm_drake.hardware.robot_connection import RtdeStatus
 from tofssm_drake.messages import RINGS, RingScan, RobotReport, SliderCommand
 
@@ -57,12 +60,12 @@ class HeldRings:
         return self.scans
 
     def get_status(self) -> RingLinkStatus:
-        """Returns when the scans came."""
+        """Returns when the scans' samples were measured."""
         return RingLinkStatus(
             source="held",
             counts={},
-            arrival={
-                ring: scan.time
+            measured={
+                ring: calc_measured_time(scan)
                 for ring, scan in zip(RINGS, self.scans, strict=True)
             },
         )

@@ -63,7 +63,12 @@ def start_clock_map(*, device: float, host: float) -> ClockMap:
 
 
 def update_clock_map(
-    clock: ClockMap, *, device: float, host: float, max_drift: float
+    clock: ClockMap,
+    *,
+    device: float,
+    host: float,
+    max_drift: float,
+    is_late: bool = False,
 ) -> ClockMap:
     """Returns what is known after one frame more.
 
@@ -72,10 +77,14 @@ def update_clock_map(
         device: Device time in the frame, s; after that of the frame before.
         host: Host time of its arrival, s.
         max_drift: Greatest drift of the two clocks, s/s.
+        is_late: Samples of late were too old. The clock is taken to go on as
+            it was measured to: else a delay that stays would become an offset
+            little by little, and its samples young again.
     """
     elapsed = device - clock.device
     sample = host - device
-    offset = min(sample, clock.offset + max_drift * elapsed)
+    rate = min(clock.drift, max_drift) if is_late else max_drift
+    offset = min(sample, clock.offset + rate * elapsed)
     anchors = clock.anchors
     # The first second may still be finding the fastest frames.
     if host - clock.began >= 1.0 and (

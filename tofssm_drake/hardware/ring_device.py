@@ -22,7 +22,7 @@ from tofssm_drake.hardware.ring_frame import (
 from tofssm_drake.messages import RingScan
 
 _MAX_MM = np.iinfo(np.uint16).max
-_MAX_AGE = np.iinfo(np.uint8).max
+_MAX_BYTE = np.iinfo(np.uint8).max
 
 
 @dc.dataclass(frozen=True, kw_only=True)
@@ -49,6 +49,7 @@ def make_frame(
     *,
     ring: int,
     timing_budget: float,
+    period: float = 0.0,
     clock: DeviceClock | None = None,
     flags: int = 0,
 ) -> RingFrame:
@@ -59,6 +60,7 @@ def make_frame(
         ring: Number of the ring.
         timing_budget: Integration time, s: a sample is ready half of it after
             its `sensor_time`.
+        period: Of all sensors, as the device measured it, s; 0: unknown.
         clock: The device's; None: it shows the true time.
         flags: FLAG_... bits.
     """
@@ -71,7 +73,10 @@ def make_frame(
         time_us=clock.calc_time_us(scan.time),
         mm=np.clip(np.rint(1e3 * scan.distance), 0, _MAX_MM).astype(np.uint16),
         status=scan.status,
-        age_ms=np.clip(np.rint(1e3 * age), 0, _MAX_AGE).astype(np.uint8),
+        age_ms=np.clip(np.rint(1e3 * age), 0, _MAX_BYTE).astype(np.uint8),
+        period_ms=np.full(
+            len(scan.status), min(round(1e3 * period), _MAX_BYTE), np.uint8
+        ),
     )
 
 

@@ -8,14 +8,14 @@ are little-endian; docs/ring_link.md is the specification.
 | offset   | size | field                                                   |
 |----------|------|---------------------------------------------------------|
 | 0        | 2    | magic "TR"                                              |
-| 2        | 1    | version, 1                                              |
+| 2        | 1    | version, 2                                              |
 | 3        | 1    | ring: 0 base, 1 elbow, 2 tool                           |
 | 4        | 1    | n, number of sensors: 8 or 16                           |
 | 5        | 1    | flags                                                   |
 | 6        | 2    | sequence of the ring, wraps                             |
 | 8        | 4    | device time at the end of the scan, us, wraps           |
-| 12       | 4 n  | per sensor: mm (2), range status (1), age in ms (1)     |
-| 12 + 4 n | 2    | CRC-16/CCITT-FALSE of all bytes before                  |
+| 12       | 5 n  | per sensor: mm (2), status (1), age (1), period (1), ms |
+| 12 + 5 n | 2    | CRC-16/CCITT-FALSE of all bytes before                  |
 """
 
 import binascii
@@ -41,9 +41,11 @@ TIME_BITS = 32
 
 _HEADER = struct.Struct("<2sBBBBHI")
 _CRC = struct.Struct("<H")
-_SAMPLE = np.dtype([("mm", "<u2"), ("status", "u1"), ("age", "u1")])
+_SAMPLE = np.dtype(
+    [("mm", "<u2"), ("status", "u1"), ("age", "u1"), ("period", "u1")]
+)
 _MAGIC = b"TR"
-_VERSION = 1
+_VERSION = 2
 
 
 def calc_frame_size(sensors: int) -> int:
@@ -88,6 +90,9 @@ class RingFrame:
     age_ms: np.ndarray
     """From the end of each sensor's integration to `time_us`, ms, (n,), uint8;
     255: that or more."""
+    period_ms: np.ndarray
+    """Each sensor's own period as the device measured it, ms, (n,), uint8; 0:
+    not known yet, 255: that or more."""
 
 
 def calc_crc(data: bytes) -> int:
@@ -112,6 +117,7 @@ def encode_frame(frame: RingFrame) -> bytes:
         ("mm", frame.mm),
         ("status", frame.status),
         ("age", frame.age_ms),
+        ("period", frame.period_ms),
     ):
         values = np.asarray(values)
         limit = np.iinfo(_SAMPLE[name]).max
@@ -135,6 +141,16 @@ def encode_frame(frame: RingFrame) -> bytes:
         raise ValueError(f"frame header: {error}") from None
     data = header + samples.tobytes()
     return data + _CRC.pack(calc_crc(data))
+
+
+def peek_ring(data: bytes) -> int | None:
+    """Returns the ring's number in what begins like a frame; else None.
+
+    It costs a hundredth of decoding it, and proves nothing.
+    """
+    if len(data) < _HEADER.size or data[:3] != _MAGIC + bytes([_VERSION]):
+        return None
+    return data[3]
 
 
 def decode_frame(data: bytes) -> RingFrame:
@@ -169,6 +185,7 @@ def decode_frame(data: bytes) -> RingFrame:
         mm=samples["mm"],
         status=samples["status"],
         age_ms=samples["age"],
+        period_ms=samples["period"],
     )
 
 

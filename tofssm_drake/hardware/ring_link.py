@@ -10,6 +10,7 @@ from collections.abc import Callable, Sequence
 import contextlib
 import dataclasses as dc
 import errno
+import math
 import os
 import selectors
 import socket
@@ -17,6 +18,7 @@ import threading
 import time
 from typing import Protocol
 
+import numpy as np
 import serial
 
 from tofssm_drake.errors import UserError
@@ -26,6 +28,7 @@ from tofssm_drake.hardware.ring_address import (
     UdpAddress,
     require_distinct,
 )
+from tofssm_drake.hardware.ring_budget import LinkFigures
 from tofssm_drake.hardware.ring_receiver import RingCounts, RingDecoder
 from tofssm_drake.messages import RingScan
 
@@ -35,6 +38,8 @@ from where it may come, before it is decoded; in the reader's thread."""
 
 _REOPEN_PERIOD = 0.5
 _LONGEST_READ = 4096
+# What the system keeps until it is read, bytes; it may grant less.
+_BUFFER = 1 << 20
 
 
 @dc.dataclass(frozen=True, kw_only=True)
@@ -52,19 +57,24 @@ class RingLinkStatus:
     foreign: int = 0
     """Datagrams of senders that are not named."""
     unknown: int = 0
-    """Whole frames of rings that are not ours."""
-    arrival: dict[str, float]
-    """Host's time of each ring's newest scan, s; -inf: none yet."""
+    """Frames of rings that are not ours."""
+    measured: dict[str, float]
+    """Host's time at which the oldest sample of each ring's newest scan was
+    measured, s; -inf: none yet."""
+    problem: dict[str, str] = dc.field(default_factory=dict)
+    """What is wrong with each ring's link; empty: nothing."""
+    figures: dict[str, LinkFigures] = dc.field(default_factory=dict)
+    """What was measured of each ring's link."""
 
     def describe(self, now: float) -> str:
-        """Says in one line how old the scans are and what went wrong.
+        """Says in one line how old the samples are and what went wrong.
 
         Args:
             now: Host's time, s.
         """
         ages = []
-        for ring, arrival in self.arrival.items():
-            age = 1e3 * (now - arrival)
+        for ring, measured in self.measured.items():
+            age = 1e3 * (now - measured)
             ages.append(f"{ring} {age:.0f} ms" if age < 1e5 else f"{ring} -")
         faults = {"corrupt": self.corrupt, "foreign": self.foreign}
         faults["unknown"] = self.unknown
@@ -72,10 +82,37 @@ class RingLinkStatus:
             faults[name] = sum(getattr(c, name) for c in self.counts.values())
         faults["wrong_size"] = sum(c.wrong_size for c in self.counts.values())
         faults["frozen"] = sum(c.frozen for c in self.counts.values())
-        told = [f"{n} {name}" for name, n in faults.items() if n]
+        told = [
+            f"{ring}: {problem} ({describe_figures(self.figures[ring])})"
+            for ring, problem in self.problem.items()
+            if problem
+        ]
+        told += [f"{n} {name}" for name, n in faults.items() if n]
         if self.error:
             told.insert(0, self.error)
         return "; ".join([", ".join(ages), *told])
+
+
+def describe_figures(figures: LinkFigures) -> str:
+    """Says in some words what was measured of a link."""
+    if math.isnan(figures.period):
+        return "not measured yet"
+    return (
+        f"period {1e3 * figures.period:.1f} ms, "
+        f"{100 * figures.lost:.0f} % lost, "
+        f"{1e3 * figures.age:.0f} ms old on arrival"
+    )
+
+
+def calc_measured_time(scan: RingScan) -> float:
+    """Returns when the oldest sample was measured, s; -inf: none is known.
+
+    A sample whose age the device could not tell does not count.
+    """
+    is_known = np.isfinite(scan.sensor_time)
+    if not is_known.any():
+        return -math.inf
+    return float(scan.sensor_time[is_known].min())
 
 
 class RingConnection(Protocol):
@@ -108,10 +145,15 @@ def make_status(
         corrupt=sum(decoder.corrupt.values()),
         foreign=foreign,
         unknown=decoder.unknown,
-        arrival={
-            ring: scan.time
+        measured={
+            ring: calc_measured_time(scan)
             for ring, scan in zip(counts, decoder.scans, strict=True)
         },
+        problem={
+            ring: scan.problem
+            for ring, scan in zip(counts, decoder.scans, strict=True)
+        },
+        figures=decoder.figures,
     )
 
 
@@ -153,6 +195,10 @@ class UdpTransport:
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         try:
             self._socket.setblocking(False)
+            # What comes in a burst must not push a ring's frame out.
+            self._socket.setsockopt(
+                socket.SOL_SOCKET, socket.SO_RCVBUF, _BUFFER
+            )
             if address.interface:
                 # By itself an address takes what comes in anywhere.
                 self._socket.setsockopt(

@@ -10,6 +10,14 @@ import dataclasses as dc
 import numpy as np
 
 from tofssm_drake.errors import require
+from tofssm_drake.hardware.ring_budget import (
+    FrameTiming,
+    LinkFigures,
+    LinkWatch,
+    RingBudget,
+    restart_watch,
+    update_watch,
+)
 from tofssm_drake.hardware.ring_clock import (
     ClockMap,
     calc_earliness,
@@ -30,12 +38,17 @@ from tofssm_drake.hardware.ring_frame import (
     FrameStream,
     RingFrame,
     decode_frame,
+    peek_ring,
     unwrap,
 )
 from tofssm_drake.messages import RINGS, RingScan
 from tofssm_drake.sensing.vl53l1x import (
+    STATUS_BUS_FAILURE,
+    STATUS_CONTESTED,
+    STATUS_FROZEN,
     STATUS_NO_NEW_DATA,
     STATUS_NONE,
+    STATUS_SELF_TEST,
     check_range,
 )
 
@@ -60,7 +73,8 @@ class RingLinkConfig:
 
     # Greatest drift between a device's clock and the host's, s/s (*assumed*:
     # two crystals of 100 ppm). The samples of a clock that is slower look
-    # ever older, which stops the robot.
+    # ever older, which stops the robot. What is told as a wrong clock is
+    # RingBudget.max_clock_error.
     max_drift: float = 200e-6
 
     # From the end of a scan to the arrival of its frame, at least, s
@@ -71,9 +85,6 @@ class RingLinkConfig:
     # A device must deliver this long before its scans count, s: its clock has
     # to be known first, and what lay in a buffer must be through.
     settle_time: float = 0.5
-
-    # After a silence of this length a device counts as started anew, s.
-    max_silence: float = 1.0
 
     # A frame that comes this much before the fastest so far is a clock that
     # jumped: the device counts as started anew, s.
@@ -107,7 +118,6 @@ class RingLinkConfig:
             ("max_drift", 0.0, 0.01),
             ("min_delay", 0.0, 0.1),
             ("settle_time", 0.0, 60.0),
-            ("max_silence", 0.05, 60.0),
             ("max_earliness", 0.0, 1.0),
             ("late", 0.0, 10.0),
             ("frozen_samples", 0, 1000),
@@ -149,13 +159,16 @@ class RingReceiver:
     A frame becomes a scan or nothing. Nothing comes of one that is not newer
     than the last, is of another number of sensors, or comes while the
     device's clock is not known well enough; then the sequence stands still
-    and the monitor's deadline stops the robot. A frozen sensor or a made-up
-    number becomes a sample with status 255, which is a fault to the monitor.
+    and the monitor's deadline stops the robot. What the host itself finds
+    wrong with a sample becomes its status: STATUS_FROZEN, STATUS_SELF_TEST or
+    STATUS_CONTESTED. A link that does not keep to its budget puts what is
+    wrong into each scan's `problem`. All these are faults to the monitor.
 
     Attributes:
         counts: RingCounts so far.
         scan: The newest scan; empty before the first.
         clock: What is known of the device's clock; None: nothing.
+        watch: How the link keeps to its budget.
     """
 
     def __init__(
@@ -164,6 +177,7 @@ class RingReceiver:
         config: RingLinkConfig,
         num_sensors: int,
         timing_budget: float,
+        budget: RingBudget,
     ):
         """Constructs the receiver.
 
@@ -172,16 +186,19 @@ class RingReceiver:
             num_sensors: n of the ring.
             timing_budget: Integration time of the sensors, s; the middle of
                 it is a sample's time.
+            budget: What the link may take.
         """
         self._config = config
+        self._budget = budget
         self._num_sensors = num_sensors
         self._half_budget = 0.5 * timing_budget
         self.counts = RingCounts()
         self.scan = RingScan()
         self.clock: ClockMap | None = None
+        self.watch = LinkWatch()
         self._sequence = 0
         self._time_us = 0
-        self._arrival = -np.inf
+        self._arrival = 0.0
         self._old_frames = 0
         self._doubt = 0.0
         self._forget_samples()
@@ -208,32 +225,36 @@ class RingReceiver:
         self._old_frames = 0
         self._doubt = max(self._doubt - _PER_GOOD_FRAME, 0.0)
         is_frozen = self._watch_samples(frame)
+        sensor_time = self._calc_sensor_time(frame)
+        self._watch_link(frame, arrival, sensor_time)
         if self.clock.lateness > self._config.late:
             self.counts.late += 1
         if arrival - self.clock.began < self._config.settle_time:
             return None
         self.counts.delivered += 1
-        self.scan = self._make_scan(frame, arrival, is_frozen)
+        self.scan = RingScan(
+            sequence=self.scan.sequence + 1,
+            time=arrival,
+            sensor_time=sensor_time,
+            distance=1e-3 * frame.mm,
+            status=self._judge_samples(frame, is_frozen),
+            problem=self.watch.problem,
+        )
         return self.scan
 
     def _follow(self, frame, arrival):
         """Takes a frame's sequence and time; returns whether it is newer."""
-        sequence = unwrap(frame.sequence, self._sequence, SEQUENCE_BITS)
-        time_us = unwrap(frame.time_us, self._time_us, TIME_BITS)
-        device = 1e-6 * time_us
         if self.clock is None:
             return self._start_anew(frame, arrival, is_first=True)
-        if (
-            sequence == self._sequence
-            and time_us == self._time_us
-            and arrival - self._arrival < self._config.max_silence
-        ):
+        sequence = unwrap(frame.sequence, self._sequence, SEQUENCE_BITS)
+        # Where its clock should be by now: a silence may be long.
+        elapsed_us = round(1e6 * (arrival - self._arrival))
+        time_us = unwrap(frame.time_us, self._time_us + elapsed_us, TIME_BITS)
+        device = 1e-6 * time_us
+        if sequence == self._sequence and time_us == self._time_us:
             self.counts.duplicated += 1
             return False
-        if (
-            frame.flags & FLAG_RESTARTED
-            or arrival - self._arrival > self._config.max_silence
-        ):
+        if frame.flags & FLAG_RESTARTED:
             return self._start_anew(frame, arrival)
         if sequence <= self._sequence or time_us <= self._time_us:
             self.counts.out_of_order += 1
@@ -253,6 +274,7 @@ class RingReceiver:
             device=device,
             host=arrival,
             max_drift=self._config.max_drift,
+            is_late=self.watch.figures.late > 0.0,
         )
         return True
 
@@ -262,6 +284,7 @@ class RingReceiver:
         self._sequence = frame.sequence
         self._time_us = frame.time_us
         self.clock = start_clock_map(device=1e-6 * frame.time_us, host=arrival)
+        self.watch = restart_watch(self.watch)
         self._forget_samples()
         return True
 
@@ -288,17 +311,8 @@ class RingReceiver:
             frozen_samples=self._config.frozen_samples,
         )
 
-    def _make_scan(self, frame, arrival, is_frozen):
-        status = frame.status.copy()
-        if is_frozen.any():
-            self.counts.frozen += 1
-            status[is_frozen] = STATUS_NONE
-        if frame.flags & FLAG_SELF_TEST:
-            self.counts.self_test += 1
-            status[:] = STATUS_NONE
-        if self.is_contested:
-            self.counts.contested += 1
-            status[:] = STATUS_NONE
+    def _calc_sensor_time(self, frame):
+        """Returns the middle of each integration, host's time, s, (n,)."""
         end = self.clock.calc_host_time(1e-6 * self._time_us)
         sensor_time = (
             end
@@ -308,20 +322,50 @@ class RingReceiver:
         )
         # How old it is can not be told any more.
         sensor_time[frame.age_ms == _SATURATED_AGE] = -np.inf
-        return RingScan(
-            sequence=self.scan.sequence + 1,
-            time=arrival,
-            sensor_time=sensor_time,
-            distance=1e-3 * frame.mm,
-            status=status,
+        return sensor_time
+
+    def _watch_link(self, frame, arrival, sensor_time):
+        """Measures the link by a frame that is newer than the last."""
+        is_new = np.isfinite(sensor_time) & ~np.isin(
+            frame.status, (STATUS_NO_NEW_DATA, STATUS_BUS_FAILURE)
         )
+        self.watch = update_watch(
+            self.watch,
+            FrameTiming(
+                arrival=arrival,
+                device=1e-6 * self._time_us,
+                sequence=self._sequence,
+                age=arrival - float(sensor_time[is_new].min(initial=arrival)),
+                status=frame.status,
+                period_ms=frame.period_ms,
+            ),
+            self._budget,
+        )
+
+    def _judge_samples(self, frame, is_frozen):
+        """Returns each sample's status, with what the host found wrong."""
+        # The host's own numbers mean nothing when they come over the wire.
+        is_unknown = (frame.status >= STATUS_FROZEN) & (
+            frame.status < STATUS_BUS_FAILURE
+        )
+        status = np.where(is_unknown, STATUS_NONE, frame.status)
+        if is_frozen.any():
+            self.counts.frozen += 1
+            status[is_frozen] = STATUS_FROZEN
+        if frame.flags & FLAG_SELF_TEST:
+            self.counts.self_test += 1
+            status[:] = STATUS_SELF_TEST
+        if self.is_contested:
+            self.counts.contested += 1
+            status[:] = STATUS_CONTESTED
+        return status.astype(np.uint8)
 
 
 class RingDecoder:
     """Turns what comes over the wires into scans of all rings.
 
     Attributes:
-        unknown: Whole frames of rings that are not ours.
+        unknown: Frames of rings that are not ours.
     """
 
     def __init__(
@@ -330,6 +374,7 @@ class RingDecoder:
         config: RingLinkConfig,
         num_sensors: int,
         timing_budget: float,
+        budget: RingBudget | None = None,
         name: Sequence[str] = RINGS,
     ):
         """Constructs the decoder.
@@ -338,12 +383,16 @@ class RingDecoder:
             config: Settings.
             num_sensors: Of each ring.
             timing_budget: Integration time of the sensors, s.
+            budget: What the links may take; None: that of the default
+                scenario.
             name: The rings, in the order of `config.ring_numbers`.
 
         Raises:
             UserError: A setting is out of range.
         """
+        budget = RingBudget() if budget is None else budget
         config.check("ring_link")
+        budget.check("ring_budget")
         require(
             num_sensors in SENSOR_COUNTS,
             f"sensors_per_ring: {num_sensors} is not known to the ring link; "
@@ -356,6 +405,7 @@ class RingDecoder:
                     config=config,
                     num_sensors=num_sensors,
                     timing_budget=timing_budget,
+                    budget=budget,
                 ),
             )
             for ring, number in zip(name, config.ring_numbers, strict=True)
@@ -372,6 +422,11 @@ class RingDecoder:
             data: The datagram.
             arrival: Host's monotonic time, s; does not fall.
         """
+        # A flood of them must not cost what a ring's own frames need.
+        ring = peek_ring(data)
+        if ring is not None and ring not in self._receivers:
+            self.unknown += 1
+            return False
         try:
             frame = decode_frame(data)
         except FrameError as error:
@@ -443,3 +498,8 @@ class RingDecoder:
     def clocks(self) -> dict[str, ClockMap | None]:
         """What is known of each device's clock."""
         return {ring: r.clock for ring, r in self._receivers.values()}
+
+    @property
+    def figures(self) -> dict[str, LinkFigures]:
+        """What was measured of each ring's link."""
+        return {ring: r.watch.figures for ring, r in self._receivers.values()}

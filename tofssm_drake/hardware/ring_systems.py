@@ -1,6 +1,7 @@
 """Real rings in a Diagram: who owns the link, and who takes its scans."""
 
 from collections.abc import Sequence
+import dataclasses as dc
 
 import numpy as np
 from pydrake.common.value import Value
@@ -16,12 +17,8 @@ def shift_scan(scan: RingScan, offset: float) -> RingScan:
     """Returns a scan on a clock that shows so much more, s."""
     if offset == 0.0 or scan.sequence < 0:
         return scan
-    return RingScan(
-        sequence=scan.sequence,
-        time=scan.time + offset,
-        sensor_time=scan.sensor_time + offset,
-        distance=scan.distance,
-        status=scan.status,
+    return dc.replace(
+        scan, time=scan.time + offset, sensor_time=scan.sensor_time + offset
     )
 
 

@@ -1,11 +1,14 @@
 // A ring of eight VL53L1X on one I2C bus that sends its frames over USB.
 //
-// An example to start from. It was never run on hardware. It needs a board
-// with USB serial and 32-bit arithmetic (Teensy, RP2040, ESP32-S3, ...) and
-// Pololu's library "VL53L1X", whose range status has the numbers of ST's API.
+// An example to start from. It was never run on hardware; the tests run it on
+// a PC with a made-up bus. It needs a board with USB serial and 32-bit
+// arithmetic (Teensy, RP2040, ESP32-S3, ...) and Pololu's library "VL53L1X",
+// whose range status has the numbers of ST's API.
 //
-// Each sensor's XSHUT pin is on a pin of the board: all sensors share one
-// address after power-up and are woken one by one to get their own.
+// Each sensor's XSHUT pin is on a pin of the board. All sensors share one
+// address after power-up, so a sensor is off until its turn to get its own.
+// The same way a sensor that was lost comes back: off, alone at the shared
+// address, running. The others go on measuring all the time.
 #include <VL53L1X.h>
 #include <Wire.h>
 
@@ -17,18 +20,40 @@ constexpr uint8_t kShutdownPin[kSensors] = {2, 3, 4, 5, 6, 7, 8, 9};
 constexpr uint8_t kFirstAddress = 0x30;
 constexpr uint32_t kTimingBudgetUs = 20000;  // short mode only
 constexpr uint32_t kPeriodMs = 24;           // timing budget + 4 ms
+// Two frames for each sample: at 24 ms a sample could wait as long for its
+// frame, and be too old for the law's reaction time.
+constexpr uint32_t kFrameMs = 12;
+constexpr uint32_t kOffMs = 5;         // off for so long: a power cycle
+constexpr uint32_t kBootMs = 3;        // 1.2 ms by the datasheet
+constexpr uint32_t kRetryMs = 500;     // between two tries to wake it
+constexpr uint32_t kSilenceMs = 200;   // no new sample for so long: it hangs
+constexpr uint8_t kMostFailures = 3;   // in a row on the bus: it is lost
+constexpr uint8_t kPeriods = 8;        // that its own period is averaged over
 
-VL53L1X sensors[kSensors];
-ring_frame::Sample samples[kSensors];
-uint32_t ready_us[kSensors];
-bool is_fresh[kSensors];
-bool is_lost[kSensors];
+enum class Step : uint8_t { kOff, kBooting, kRunning };
+
+struct Sensor {
+  VL53L1X device;
+  Step step = Step::kOff;
+  uint32_t since_ms = 0;   // when the step began, or the newest sample came
+  uint32_t wait_ms = kOffMs;  // stays off for so long
+  uint8_t failures = 0;    // on the bus, in a row
+  uint32_t polled_us = 0;  // when it was known to have nothing new
+  uint32_t ready_us = 0;   // when its sample was ready, at the earliest
+  int32_t period_us = 0;   // from sample to sample, smoothed
+  uint8_t periods = 0;     // that were measured; from kPeriods on it is known
+  bool has_sample = false;
+  bool is_fresh = false;
+  ring_frame::Sample sample = {0, ring_frame::kNoNewData, 255, 0};
+};
+
+Sensor sensors[kSensors];
+uint8_t turn = 0;  // whose turn it is to be woken
 bool has_restarted = true;
 uint16_t sequence = 0;
 uint32_t next_frame_ms = 0;
 
-// Whatever is wrong before the first frame: send nothing, so that the robot
-// does not start.
+// Before the first frame: send nothing, so that the robot does not start.
 void halt() {
   pinMode(LED_BUILTIN, OUTPUT);
   for (;;) {
@@ -36,63 +61,137 @@ void halt() {
   }
 }
 
-void setup() {
-  Serial.begin(921600);
-  if (!ring_frame::check_example()) halt();
-  Wire.begin();
-  Wire.setClock(400000);
-  for (uint8_t i = 0; i < kSensors; ++i) {
-    pinMode(kShutdownPin[i], OUTPUT);
-    digitalWrite(kShutdownPin[i], LOW);
-  }
-  for (uint8_t i = 0; i < kSensors; ++i) {
-    pinMode(kShutdownPin[i], INPUT);  // the sensor's board pulls it up
-    delay(3);
-    sensors[i].setTimeout(10);
-    if (!sensors[i].init()) halt();
-    sensors[i].setAddress(kFirstAddress + i);
-    sensors[i].setDistanceMode(VL53L1X::Short);
-    sensors[i].setMeasurementTimingBudget(kTimingBudgetUs);
-  }
-  for (uint8_t i = 0; i < kSensors; ++i) sensors[i].startContinuous(kPeriodMs);
-  next_frame_ms = millis() + kPeriodMs;
+// Takes the power from a sensor. It stays off until its turn: at the shared
+// address there is never more than one.
+void lose(uint8_t i, uint32_t wait_ms) {
+  pinMode(kShutdownPin[i], OUTPUT);
+  digitalWrite(kShutdownPin[i], LOW);
+  sensors[i] = Sensor();
+  sensors[i].since_ms = millis();
+  sensors[i].wait_ms = wait_ms;
 }
 
-// Takes the sensors' new samples. One that does not answer is lost until it
-// answers again; its old sample is never sent as a new one.
+// Gives a sensor that is alone at the shared address its own and starts it.
+// Takes some 10 ms.
+bool start(uint8_t i) {
+  VL53L1X& device = sensors[i].device;
+  device.setTimeout(10);
+  if (!device.init()) return false;
+  device.setAddress(kFirstAddress + i);
+  if (device.last_status != 0) return false;
+  if (!device.setDistanceMode(VL53L1X::Short)) return false;
+  if (!device.setMeasurementTimingBudget(kTimingBudgetUs)) return false;
+  device.startContinuous(kPeriodMs);
+  return device.last_status == 0;
+}
+
+// A running sensor that does not answer may have lost its address.
+bool all_answer() {
+  for (uint8_t i = 0; i < kSensors; ++i) {
+    if (sensors[i].failures > 0) return false;
+  }
+  return true;
+}
+
+// Does one step for one sensor that is off; called once for each frame.
+void wake_sensors() {
+  if (!all_answer()) return;
+  for (uint8_t i = 0; i < kSensors; ++i) {
+    if (sensors[turn].step != Step::kRunning) break;
+    turn = (turn + 1) % kSensors;
+  }
+  Sensor& sensor = sensors[turn];
+  const uint32_t elapsed_ms = millis() - sensor.since_ms;
+  if (sensor.step == Step::kBooting) {
+    if (elapsed_ms < kBootMs) return;
+    if (start(turn)) {
+      sensor.step = Step::kRunning;
+      sensor.since_ms = millis();
+      sensor.polled_us = micros();
+    } else {
+      lose(turn, kRetryMs);
+    }
+  } else if (sensor.step == Step::kOff && elapsed_ms >= sensor.wait_ms) {
+    pinMode(kShutdownPin[turn], INPUT);  // the sensor's board pulls it up
+    sensor.step = Step::kBooting;
+    sensor.since_ms = millis();
+    return;
+  }
+  turn = (turn + 1) % kSensors;
+}
+
+// Takes a sensor's new sample, if there is one. Returns whether it answered.
+bool read_sensor(Sensor& sensor) {
+  const uint32_t now = micros();
+  const bool is_ready = sensor.device.dataReady();
+  if (sensor.device.last_status != 0) return false;
+  if (!is_ready) {
+    sensor.polled_us = now;
+    return true;
+  }
+  sensor.device.read(false);
+  if (sensor.device.last_status != 0) return false;
+  // It was ready at some time since it was asked last: at the earliest then.
+  if (sensor.has_sample) {
+    const int32_t period_us =
+        static_cast<int32_t>(sensor.polled_us - sensor.ready_us);
+    if (sensor.periods < kPeriods) ++sensor.periods;
+    sensor.period_us += (period_us - sensor.period_us) / sensor.periods;
+  }
+  sensor.ready_us = sensor.polled_us;
+  sensor.polled_us = now;
+  sensor.since_ms = millis();
+  sensor.has_sample = true;
+  sensor.is_fresh = true;
+  sensor.sample.mm = sensor.device.ranging_data.range_mm;
+  sensor.sample.status =
+      static_cast<uint8_t>(sensor.device.ranging_data.range_status);
+  return true;
+}
+
 void read_sensors() {
   for (uint8_t i = 0; i < kSensors; ++i) {
-    const bool is_ready = sensors[i].dataReady();
-    is_lost[i] = sensors[i].last_status != 0;
-    if (is_lost[i] || !is_ready) continue;
-    const uint32_t now = micros();
-    sensors[i].read(false);
-    is_lost[i] = sensors[i].last_status != 0;
-    if (is_lost[i]) continue;
-    samples[i].mm = sensors[i].ranging_data.range_mm;
-    samples[i].status =
-        static_cast<uint8_t>(sensors[i].ranging_data.range_status);
-    ready_us[i] = now;
-    is_fresh[i] = true;
+    Sensor& sensor = sensors[i];
+    if (sensor.step != Step::kRunning) continue;
+    sensor.failures = read_sensor(sensor) ? 0 : sensor.failures + 1;
+    if (sensor.failures >= kMostFailures ||
+        millis() - sensor.since_ms > kSilenceMs) {
+      lose(i, kOffMs);
+    }
   }
+}
+
+uint8_t saturate(uint32_t value) {
+  return value < 255 ? static_cast<uint8_t>(value) : 255;
+}
+
+// An old sample is never sent as a new one.
+ring_frame::Sample take_sample(Sensor& sensor, uint32_t now_us) {
+  ring_frame::Sample sent = {0, ring_frame::kNoNewData, 255, 0};
+  if (sensor.step != Step::kRunning || sensor.failures > 0) {
+    sent.status = ring_frame::kBusFailure;
+    return sent;
+  }
+  if (sensor.is_fresh) {
+    sent = sensor.sample;
+    sent.age_ms = saturate((now_us - sensor.ready_us) / 1000);
+    sensor.is_fresh = false;
+  }
+  if (sensor.periods == kPeriods) {
+    sent.period_ms = saturate((sensor.period_us + 500) / 1000);
+  }
+  return sent;
 }
 
 void send_frame() {
   const uint32_t now = micros();
   uint8_t flags = has_restarted ? ring_frame::kRestarted : 0;
-
   ring_frame::Sample sent[kSensors];
   for (uint8_t i = 0; i < kSensors; ++i) {
-    sent[i] = {0, ring_frame::kNoNewData, 255};
-    if (is_lost[i]) {
-      sent[i].status = ring_frame::kBusFailure;
+    sent[i] = take_sample(sensors[i], now);
+    if (sent[i].status == ring_frame::kBusFailure) {
       flags |= ring_frame::kBusError;
-    } else if (is_fresh[i]) {
-      const uint32_t age_ms = (now - ready_us[i]) / 1000;
-      sent[i] = samples[i];
-      sent[i].age_ms = age_ms < 255 ? static_cast<uint8_t>(age_ms) : 255;
     }
-    is_fresh[i] = false;
   }
 
   uint8_t frame[ring_frame::kMaxFrameSize];
@@ -110,10 +209,23 @@ void send_frame() {
   }
 }
 
+void setup() {
+  Serial.begin(921600);
+  if (!ring_frame::check_example()) halt();
+  Wire.begin();
+  Wire.setClock(400000);
+  for (uint8_t i = 0; i < kSensors; ++i) lose(i, kOffMs);
+  next_frame_ms = millis();
+}
+
 void loop() {
   read_sensors();
+  if (static_cast<int32_t>(millis() - next_frame_ms) < 0) return;
+  // What was missed while a sensor was started is not made up for.
+  next_frame_ms += kFrameMs;
   if (static_cast<int32_t>(millis() - next_frame_ms) >= 0) {
-    next_frame_ms += kPeriodMs;
-    send_frame();
+    next_frame_ms = millis() + kFrameMs;
   }
+  send_frame();
+  wake_sensors();
 }

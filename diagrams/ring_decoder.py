@@ -1,0 +1,52 @@
+"""What decodes the frames of real rings, as a scenario wants it."""
+
+from tofssm_drake.diagrams.scenario import Scenario
+from tofssm_drake.hardware.ring_budget import RingBudget, calc_max_age
+from tofssm_drake.hardware.ring_receiver import RingDecoder, RingLinkConfig
+
+
+def make_ring_budget(
+    scenario: Scenario, control_period: float | None = None
+) -> RingBudget:
+    """Returns what the rings' links may take, so that the law's T_R holds.
+
+    Args:
+        scenario: Checked settings.
+        control_period: Control tick, s; None: that of the scenario.
+    """
+    if control_period is None:
+        control_period = scenario.control_period
+    period = scenario.rings.period
+    audit = scenario.audit
+    return RingBudget(
+        period=period,
+        max_age=calc_max_age(
+            T_R=scenario.ssm.T_R,
+            period=period,
+            monitor_time=audit.monitor_time,
+            control_period=control_period,
+            rtde_period=audit.rtde_period,
+            brake_start=audit.brake_start,
+        ),
+    )
+
+
+def make_ring_decoder(
+    scenario: Scenario,
+    *,
+    config: RingLinkConfig | None = None,
+    control_period: float | None = None,
+) -> RingDecoder:
+    """Returns a decoder of the frames of the scenario's rings.
+
+    Args:
+        scenario: Checked settings; rings, law and audit count.
+        config: Of the link; None: the default.
+        control_period: Control tick, s; None: that of the scenario.
+    """
+    return RingDecoder(
+        config=RingLinkConfig() if config is None else config,
+        num_sensors=scenario.sensors_per_ring,
+        timing_budget=scenario.rings.sensor.timing_budget,
+        budget=make_ring_budget(scenario, control_period),
+    )

@@ -1,0 +1,7 @@
+#pragma once
+
+struct FakeWire {
+  void begin() {}
+  void setClock(long) {}
+};
+inline FakeWire Wire;

@@ -1,0 +1,356 @@
+"""Whether a ring's link keeps to the time that the safety law assumes.
+
+The law reckons with a reaction time T_R from what a sensor sees to the start
+of braking. What the link takes of it is measured here from the frames of the
+last seconds, and told in one line with figures where it is too much.
+
+Figures are differences of running totals, the newest less those of a window
+before: a frame costs the same however long the window is.
+
+What cannot be seen: a delay that is there from a device's first frame on. It
+looks like an offset of its clock (see ring_clock.py).
+"""
+
+from collections.abc import Sequence
+import dataclasses as dc
+import itertools
+import statistics
+
+import numpy as np
+
+from tofssm_drake.sensing.vl53l1x import (
+    STATUS_BUS_FAILURE,
+    STATUS_NO_NEW_DATA,
+    check_range,
+)
+
+# Figures of less than this are told of no frame, s: a single late one would
+# make up too much of them. A device's scans count only after 0.5 s.
+_LEAST_SPAN = 0.4
+# The clock's error is the median of so many slopes, of one block each. One
+# of them may be a delay that came or went.
+_SLOPES = 3
+
+
+@dc.dataclass(frozen=True, kw_only=True)
+class RingBudget:
+    """What a ring's link may take; `make_ring_budget` fits it to a scenario."""
+
+    # Period of each sensor that the law takes for granted, s.
+    period: float = 0.024
+
+    # Greatest age of a sample at its frame's arrival, from the middle of its
+    # integration, s; see `calc_max_age`. The default is that of the default
+    # scenario.
+    max_age: float = 0.034
+
+    # Over how long all is measured, s (*assumed*). With 1 % of the frames
+    # lost independently, three rings of 24 ms exceed `max_lost` once in 21
+    # minutes over one second, once in 5 days over two.
+    window: float = 2.0
+
+    # Greatest part of a window's frames that may be lost, and that may be
+    # older than `max_age` (*assumed*). While a frame is missing the reaction
+    # takes a period longer, 6 ms beyond T_R; a tenth of the time that is
+    # borne, beyond it is no accident any more.
+    max_lost: float = 0.1
+
+    # By how much a measured period may be longer, as a part (*assumed*: the
+    # device's own jitter is 1 %; a sensor that skips samples doubles it).
+    period_tolerance: float = 0.1
+
+    # Greatest difference of the device's clock and the host's, s/s
+    # (*assumed*: crystals differ by 200e-6, and a millisecond of jitter looks
+    # like 1000e-6). Beyond it is no crystal, or a delay that grows.
+    max_clock_error: float = 2e-3
+
+    def check(self, where: str) -> None:
+        """Raises UserError unless every setting is within its limits."""
+        for name, low, high in (
+            ("period", 0.001, 10.0),
+            ("max_age", 0.0, 10.0),
+            ("window", 1.0, 60.0),
+            ("max_lost", 0.0, 1.0),
+            ("period_tolerance", 0.0, 1.0),
+            ("max_clock_error", 1e-4, 0.1),
+        ):
+            check_range(where, name, getattr(self, name), low, high)
+
+
+def calc_max_age(
+    *,
+    T_R: float,
+    period: float,
+    monitor_time: float,
+    control_period: float,
+    rtde_period: float,
+    brake_start: float,
+) -> float:
+    """Returns how old a sample may be when it arrives, s; 0: never in time.
+
+    What happens right after a sample is seen by the next one, a period later.
+    That arrives, is masked, waits for the control tick and for the robot's
+    cycle, and then the robot begins to brake:
+
+        period + age + monitor_time + control_period + rtde_period
+            + brake_start <= T_R
+
+    Args:
+        T_R: Reaction time of the law, s.
+        period: Of a sensor, s.
+        monitor_time: Of mask and distances, s.
+        control_period: Of the monitor, s.
+        rtde_period: The robot's cycle, s.
+        brake_start: From the command to the beginning of braking, s.
+    """
+    rest = monitor_time + control_period + rtde_period + brake_start
+    return max(T_R - period - rest, 0.0)
+
+
+@dc.dataclass(frozen=True, eq=False, kw_only=True)
+class FrameTiming:
+    """What one frame tells about its link; n sensors."""
+
+    arrival: float
+    """Host's time, s."""
+    device: float
+    """Device's time in the frame, s, unwrapped."""
+    sequence: int
+    """Unwrapped."""
+    age: float
+    """Of the oldest new sample at the arrival, s; 0: none is new."""
+    status: np.ndarray
+    """Range status of each sensor, (n,)."""
+    period_ms: np.ndarray
+    """Reported period of each sensor, ms, (n,); 0: not known."""
+
+
+@dc.dataclass(frozen=True, eq=False, kw_only=True)
+class _Totals:
+    """Sums over all frames so far."""
+
+    arrival: float
+    device: float
+    sequence: int
+    received: int = 0
+    late: int = 0
+    """Frames older than the limit."""
+    late_age: float = 0.0
+    """Sum of their ages, s."""
+    aged: int = 0
+    """Frames with a new sample."""
+    age: float = 0.0
+    """Sum of their ages, s."""
+    samples: np.ndarray | float = 0.0
+    """Of each sensor, (4, n): how often it was new, how often it had nothing
+    new, how often it knew its period, and the sum of these periods in ms."""
+
+
+_NOTHING = _Totals(arrival=-np.inf, device=-np.inf, sequence=-1)
+
+
+@dc.dataclass(frozen=True, eq=False, kw_only=True)
+class LinkFigures:
+    """What was measured over a window; NaN: not known yet."""
+
+    span: float = 0.0
+    """How long was measured, s."""
+    period: float = np.nan
+    """Of the frames, s by the device's clock."""
+    lost: float = np.nan
+    """Part of the window's frames that never came."""
+    age: float = np.nan
+    """Mean age of the samples at arrival, s, of the oldest in each frame."""
+    late: float = 0.0
+    """Part of the window's frames with samples that were too old."""
+    late_age: float = np.nan
+    """Mean age of those, s."""
+    sensor_period: np.ndarray = dc.field(default_factory=lambda: np.empty(0))
+    """Of each sensor, s, (n,), as counted or as it says, whatever is longer;
+    0: not known."""
+    clock_error: float = 0.0
+    """How much slower the device's clock is, s/s; 0: not known yet."""
+
+
+@dc.dataclass(frozen=True, eq=False, kw_only=True)
+class LinkWatch:
+    """What is known of a link; never changes after it was made."""
+
+    totals: tuple[_Totals, ...] = ()
+    """Of each frame of the last window."""
+    blocks: tuple[tuple[float, float], ...] = ()
+    """Device's time at the begin of each block of half a window, and the
+    least of host minus device time in it, s."""
+    figures: LinkFigures = dc.field(default_factory=LinkFigures)
+    """Newest."""
+    told: str = ""
+    """What was wrong when something was."""
+    told_time: float = -np.inf
+    """When that was the last time, s."""
+    problem: str = ""
+    """What is wrong, or was within the last window; empty: nothing."""
+
+
+def restart_watch(watch: LinkWatch) -> LinkWatch:
+    """Returns what is left when the device began anew: what was wrong."""
+    return LinkWatch(
+        told=watch.told, told_time=watch.told_time, problem=watch.problem
+    )
+
+
+def update_watch(
+    watch: LinkWatch, timing: FrameTiming, budget: RingBudget
+) -> LinkWatch:
+    """Returns what is known after one frame more.
+
+    A problem lasts until the link has been within its limits for a whole
+    window.
+
+    Args:
+        watch: What was known before.
+        timing: Of a frame that is newer than all before.
+        budget: What the link may take.
+    """
+    before = watch.totals[-1] if watch.totals else _NOTHING
+    totals = (*watch.totals, _add(before, timing, budget))
+    first = next(
+        i
+        for i, old in enumerate(totals)
+        if timing.arrival - old.arrival <= budget.window
+    )
+    totals = totals[first:]
+    blocks = _add_to_blocks(watch.blocks, timing, 0.5 * budget.window)
+    figures = _measure(totals, calc_clock_error(blocks), budget)
+    found = "; ".join(find_problems(figures, budget))
+    told = found or watch.told
+    told_time = timing.arrival if found else watch.told_time
+    is_over = timing.arrival - told_time >= budget.window
+    return LinkWatch(
+        totals=totals,
+        blocks=blocks,
+        figures=figures,
+        told=told,
+        told_time=told_time,
+        problem="" if is_over else told,
+    )
+
+
+def find_problems(figures: LinkFigures, budget: RingBudget) -> list[str]:
+    """Returns what of the figures is beyond the budget, each with its figures.
+
+    Args:
+        figures: As measured.
+        budget: What the link may take.
+    """
+    problems = []
+    limit = (1.0 + budget.period_tolerance) * budget.period
+    configured = f"configured {1e3 * budget.period:g} ms"
+    if abs(figures.clock_error) > budget.max_clock_error:
+        way = "slow" if figures.clock_error > 0.0 else "fast"
+        problems.append(f"clock {100 * abs(figures.clock_error):.2f} % {way}")
+    if figures.period > limit:
+        problems.append(f"period {1e3 * figures.period:.1f} ms, {configured}")
+    elif (figures.sensor_period > limit).any():
+        i = int(figures.sensor_period.argmax())
+        period = 1e3 * figures.sensor_period[i]
+        problems.append(f"sensor {i}: period {period:.1f} ms, {configured}")
+    if figures.lost > budget.max_lost:
+        problems.append(
+            f"{100 * figures.lost:.0f} % of frames lost in the last "
+            f"{budget.window:g} s"
+        )
+    if figures.late > budget.max_lost:
+        problems.append(
+            f"samples {1e3 * figures.late_age:.0f} ms old on arrival, "
+            f"{1e3 * budget.max_age:.0f} ms allowed"
+        )
+    return problems
+
+
+def calc_clock_error(blocks: Sequence[tuple[float, float]]) -> float:
+    """Returns how much slower a device's clock is, s/s; 0: not known yet.
+
+    The fastest frames tell of the clock, the others of what they waited for.
+    A delay that comes or goes changes one slope of three, not the median.
+
+    Args:
+        blocks: Device's time and least of host minus device time, s. The last
+            one may still be growing and does not count.
+    """
+    whole = blocks[-2 - _SLOPES : -1]
+    if len(whole) <= _SLOPES:
+        return 0.0
+    return statistics.median(
+        (after[1] - before[1]) / (after[0] - before[0])
+        for before, after in itertools.pairwise(whole)
+    )
+
+
+def _add_to_blocks(blocks, timing, length):
+    """Returns the blocks with a frame more; the newest are enough."""
+    offset = timing.arrival - timing.device
+    if not blocks or timing.device - blocks[-1][0] >= length:
+        return (*blocks[-1 - _SLOPES :], (timing.device, offset))
+    begin, least = blocks[-1]
+    return (*blocks[:-1], (begin, min(least, offset)))
+
+
+def _add(before, timing, budget):
+    """Returns the totals with a frame more."""
+    is_idle = timing.status == STATUS_NO_NEW_DATA
+    is_fresh = ~is_idle & (timing.status != STATUS_BUS_FAILURE)
+    is_late = timing.age > budget.max_age
+    return _Totals(
+        arrival=timing.arrival,
+        device=timing.device,
+        sequence=timing.sequence,
+        received=before.received + 1,
+        late=before.late + is_late,
+        late_age=before.late_age + timing.age * is_late,
+        aged=before.aged + (timing.age > 0.0),
+        age=before.age + timing.age,
+        samples=before.samples
+        + np.array([is_fresh, is_idle, timing.period_ms > 0, timing.period_ms]),
+    )
+
+
+def _measure(totals, clock_error, budget):
+    """Returns the figures between the first and the last totals."""
+    old, new = totals[0], totals[-1]
+    span = new.arrival - old.arrival
+    received = new.received - old.received
+    if received == 0:
+        return LinkFigures(clock_error=clock_error)
+    frames = new.sequence - old.sequence
+    # While the window fills it is the whole one's frames that count.
+    all_frames = max(frames, budget.window / budget.period)
+    period = (new.device - old.device) / frames
+    late = new.late - old.late
+    aged = new.aged - old.aged
+    is_known = span >= _LEAST_SPAN
+    return LinkFigures(
+        span=span,
+        period=period if is_known else np.nan,
+        lost=(frames - received) / all_frames,
+        age=(new.age - old.age) / aged if aged else np.nan,
+        late=late / all_frames,
+        late_age=(new.late_age - old.late_age) / late if late else np.nan,
+        sensor_period=_measure_sensors(old, new, period, budget.window)
+        if is_known
+        else np.empty(0),
+        clock_error=clock_error,
+    )
+
+
+def _measure_sensors(old, new, period, window):
+    """Returns each sensor's period, s, (n,): as counted or told; 0: unknown.
+
+    Frames that were lost do not count: of those that came, a sensor was new
+    in so many. One that was started takes its time to its first sample, and
+    is counted only after half a window.
+    """
+    fresh, idle, told, told_ms = new.samples - old.samples
+    answered = period * (fresh + idle)
+    counted = answered / np.maximum(fresh, 1)
+    counted[(fresh == 0) | (answered < 0.5 * window)] = 0.0
+    return np.maximum(counted, 1e-3 * told_ms / np.maximum(told, 1))
