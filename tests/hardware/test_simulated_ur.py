@@ -6,6 +6,7 @@ from robot_room import make_kinematics, make_robot
 from scipy.spatial.transform import Rotation
 
 from tofssm_drake.errors import UserError
+from tofssm_drake.hardware.model_match import make_pose
 from tofssm_drake.hardware.rtde_fields import (
     OUTPUT_TYPES,
     RuntimeState,
@@ -63,12 +64,17 @@ def write_slider(robot, fraction, mask=1):
     )
 
 
+def make_tool():
+    """Returns the modelled tool in the flange, (3, 4)."""
+    return make_pose(mut.calc_tcp_offset(make_kinematics()))
+
+
 class TestKinematics(unittest.TestCase):
     def test_tool_pose_agrees_with_published_table(self):
         tcp = 0.0
         for q in np.random.default_rng(1).uniform(-3, 3, (20, 6)):
             pose, _, elbow, _ = mut.calc_tool_motion(
-                make_kinematics(), q, np.zeros(6)
+                make_kinematics(), q, np.zeros(6), make_tool()
             )
             flange = calc_dh_pose(q)
             # The tool stands off along the flange's axis.
@@ -115,7 +121,9 @@ class TestKinematics(unittest.TestCase):
         h = 1e-6
         for q, qd in np.random.default_rng(2).uniform(-2, 2, (10, 2, 6)):
             results = [
-                mut.calc_tool_motion(make_kinematics(), q + s * h * qd, qd)
+                mut.calc_tool_motion(
+                    make_kinematics(), q + s * h * qd, qd, make_tool()
+                )
                 for s in (-1, 0, 1)
             ]
             (before, _, elbow_before, _), now, (after, _, elbow_after, _) = (
