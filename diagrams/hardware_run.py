@@ -493,9 +493,8 @@ class HardwareRun:
         rate, tolerance = self._robot_clock.rate, self._checks.clock_tolerance
         if not abs(rate.rate - 1.0) <= tolerance:
             raise UserError(
-                f"robot: its clock runs {rate.newest:.3f} times as fast as this "
-                f"computer's, {1.0 - tolerance:.3f} to {1.0 + tolerance:.3f} "
-                "are allowed"
+                f"robot: its clock runs {rate.newest:.3f} times as fast as "
+                f"this computer's, 1 +- {tolerance:g} is allowed"
             )
 
     def _require_modelled_robot(self, report):

@@ -359,6 +359,77 @@ class TestWatchdog(unittest.TestCase):
         self.assertEqual(robot.runtime_state, RuntimeState.STOPPED)
 
 
+class TestFaults(unittest.TestCase):
+    def test_arm_that_ignores_its_slider(self):
+        for fault, fraction in (
+            ({"ignores_slider": True}, 1.0),
+            ({"slowest_fraction": 0.6}, 0.6),
+            ({"slowest_fraction": 0.1}, 0.3),
+            ({}, 0.3),
+        ):
+            robot = make_robot()
+            run(robot, 50)
+            vars(robot).update(fault)
+            write_slider(robot, 0.3)
+            run(robot, 50)
+            self.assertEqual(robot.outputs["target_speed_fraction"], 0.3)
+            self.assertAlmostEqual(robot.speed_fraction, fraction)
+
+    def test_a_program_that_ends_ends(self):
+        robot = make_robot()
+        robot.ignores_slider = True
+        run(robot, 50)
+        robot.stop()
+        run(robot, 50)
+        self.assertEqual(robot.speed_fraction, 0.0)
+
+    def test_joints_that_are_off_or_late(self):
+        for series in ("cb3", "e"):
+            right, wrong = make_robot(series=series), make_robot(series=series)
+            wrong.joint_offset[2] = 0.1
+            wrong.joints_late = 0.048
+            before = []
+            for _ in range(right.rate // 2):
+                right.step()
+                wrong.step()
+                before.append(np.array(right.outputs["actual_q"]))
+            q = before[-1 - round(0.048 * right.rate)]
+            np.testing.assert_allclose(
+                wrong.outputs["actual_q"], np.add(q, [0, 0, 0.1, 0, 0, 0])
+            )
+            self.assertGreater(abs(q - before[-1]).max(), 0.01)
+            np.testing.assert_allclose(wrong.position, before[-1])
+            np.testing.assert_allclose(
+                wrong.velocity, right.outputs["actual_qd"]
+            )
+            for name in ("actual_TCP_pose", "actual_TCP_speed", "timestamp"):
+                self.assertEqual(wrong.outputs[name], right.outputs[name])
+
+    def test_tool_that_is_set_up_elsewhere(self):
+        robot = make_robot()
+        run(robot, 60)
+        robot.tcp_offset[:3] = (0.1, 0.0, 0.3)
+        before = robot.outputs["actual_TCP_pose"]
+        robot.step()
+        now = robot.outputs["actual_TCP_pose"]
+        self.assertEqual(robot.outputs["tcp_offset"][:3], (0.1, 0.0, 0.3))
+        # 0.1 m to the side and 0.1 m beyond the modelled tool.
+        self.assertAlmostEqual(
+            np.linalg.norm(np.subtract(now[:3], before[:3])), 0.1414, delta=0.02
+        )
+
+    def test_rate_of_the_clock(self):
+        robot = make_robot(watchdog_timeout=0.2)
+        start = robot.timestamp
+        robot.clock_rate = 2.0
+        run(robot, 24)
+        self.assertAlmostEqual(robot.timestamp - start, 2 * 24 * 0.008)
+        # The watchdog counts true seconds.
+        self.assertEqual(robot.runtime_state, RuntimeState.PLAYING)
+        run(robot, 3)
+        self.assertEqual(robot.runtime_state, RuntimeState.STOPPING)
+
+
 class TestInputsAndFields(unittest.TestCase):
     def test_registers_are_read_back(self):
         robot = make_robot()

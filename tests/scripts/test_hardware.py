@@ -25,11 +25,16 @@ from tofssm_drake.diagrams.hardware_run import require_ready
 from tofssm_drake.diagrams.scenario import load_scenario
 from tofssm_drake.errors import UserError
 from tofssm_drake.hardware import rtde_systems
+from tofssm_drake.hardware.model_match import make_pose
 from tofssm_drake.hardware.ring_link import RingLink
 from tofssm_drake.hardware.rtde_client import RtdeClient
 from tofssm_drake.hardware.rtde_fields import SafetyMode
 from tofssm_drake.hardware.rtde_protocol import PackageType
 from tofssm_drake.hardware.run_record import RunReader
+from tofssm_drake.hardware.simulated_ur import (
+    calc_tcp_offset,
+    calc_tool_motion,
+)
 from tofssm_drake.messages import RobotReport
 from tofssm_drake.robot.kinematics import RingKinematics
 from tofssm_drake.robot.program import make_program_path
@@ -638,11 +643,19 @@ class TestReady(unittest.TestCase):
             cls.scenario.program, RingKinematics.from_plant(cls.plant)
         )
         cls.q = path.calc_motion(0.5 * path.duration)[0]
+        cls.kinematics = RingKinematics.from_plant(cls.plant)
 
     def require(self, *, max_deviation=0.5, **fields):
+        q = fields.get("position", self.q)
+        tool = calc_tcp_offset(self.kinematics)
+        pose, *_ = calc_tool_motion(
+            self.kinematics, np.array(q), np.zeros(6), make_pose(tool)
+        )
         require_ready(
             RobotReport(
                 **{
+                    "tcp_pose": pose,
+                    "tcp_offset": tool,
                     "position": self.q,
                     "velocity": np.zeros(6),
                     "safety_mode": 1,
@@ -658,6 +671,12 @@ class TestReady(unittest.TestCase):
     def test_fit(self):
         self.require()
         self.require(safety_mode=2, safety_status=-1)
+
+    def test_another_robot(self):
+        with self.assertRaisesRegex(UserError, "robot: reported tool is"):
+            self.require(tcp_pose=np.zeros(6))
+        with self.assertRaisesRegex(UserError, "reports no pose of its tool"):
+            self.require(tcp_pose=np.full(6, np.nan))
 
     def test_safety_modes(self):
         for fields in (
