@@ -92,7 +92,7 @@ class TestRate(unittest.TestCase):
         for late in (
             lambda t: 0.24 * (3.0 < t < 4.5),
             lambda t: 0.24 * (t < 3.3),
-            lambda t: 0.1 * (t % 2.0 < 1.2),
+            lambda t: 0.1 * (t % 2.0 < 0.9),
             lambda t: 0.24 * random.random(),
             lambda t: 0.05 * (t - 3.0) if 3.0 < t < 5.0 else 0.0,
         ):

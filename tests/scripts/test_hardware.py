@@ -196,6 +196,56 @@ class TestHardware(unittest.TestCase):
         self.assertNotIn(PackageType.SETUP_INPUTS, kinds)
         self.assertNotIn(PackageType.DATA_PACKAGE, kinds)
 
+    def test_another_robot_does_not_start(self):
+        robot = make_robot(start="heartbeat")
+        robot.joint_offset[1] = 0.1
+        with serve(robot) as server:
+            code, _, err = run_hardware(server)
+        self.assertEqual(code, 1)
+        self.assertRegex(
+            err,
+            "robot: reported tool is [0-9]+ mm and 5.7 deg from where the "
+            "modelled arm has it with these joints; 20 mm and 2.0 deg are "
+            "allowed; slider set to 0",
+        )
+        self.assertEqual(robot.path_time, 0.0)
+
+    def test_a_robot_that_tells_no_pose(self):
+        for options, starts in (((), False), (("--allow-no-pose",), True)):
+            robot = make_robot(start="heartbeat")
+            del robot.output_types["actual_TCP_pose"]
+            with serve(robot) as server:
+                code, _, err = run_hardware(server, *options, "--duration", 0.2)
+            self.assertEqual(code, int(not starts), err)
+            self.assertIn("robot: reports no pose of its tool", err)
+
+    def test_settings_of_the_checks(self):
+        """And a record knows them: else a replay would tell a difference."""
+        with (
+            tempfile.TemporaryDirectory() as folder,
+            serve(make_robot(start="heartbeat")) as server,
+        ):
+            path = Path(folder) / "run.mcap"
+            code, _, err = run_hardware(
+                server,
+                *("--duration", 1.0, "--record", path),
+                *("--checks-text", "{arm: {ramp_time: 0.21}}"),
+            )
+            self.assertEqual(code, 0, err)
+            self.assertEqual(RunReader(path).run["arm"]["ramp_time"], 0.21)
+            code, out = run_replay(path)
+            self.assertEqual(code, 0)
+            self.assertIn("all states as recorded", out)
+            for text, message in (
+                ("{arm: {ramp_time: 0}}", "checks.arm.ramp_time: must be more"),
+                ("{model: {allow_no_pose: true}}", "use --allow-no-pose"),
+                ("{clock_tolerance: 1}", "checks.clock_tolerance: must be"),
+                ("{arms: {}}", "arms"),
+            ):
+                code, _, err = run_hardware(server, "--checks-text", text)
+                self.assertEqual(code, 1)
+                self.assertIn(message, err)
+
     def test_any_exception_leaves_the_slider_at_zero(self):
         """In a system, in the law, in the loop: each is one line."""
         for module, name in (

@@ -40,6 +40,8 @@ def _describe(value):
     """Returns the schema of a field like this default of it."""
     if isinstance(value, np.ndarray):
         return _INTEGERS if value.dtype.kind in "iu" else _NUMBERS
+    if isinstance(value, str):
+        return _STRING
     return _INTEGER if isinstance(value, int) else _NUMBER
 
 
