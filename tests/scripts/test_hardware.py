@@ -201,7 +201,7 @@ class TestHardware(unittest.TestCase):
         robot.joint_offset[1] = 0.1
         with serve(robot) as server:
             code, _, err = run_hardware(server)
-        self.assertEqual(code, 1)
+        self.assertEqual(code, 2)
         self.assertRegex(
             err,
             "robot: reported tool is [0-9]+ mm and 5.7 deg from where the "
@@ -216,7 +216,7 @@ class TestHardware(unittest.TestCase):
             del robot.output_types["actual_TCP_pose"]
             with serve(robot) as server:
                 code, _, err = run_hardware(server, *options, "--duration", 0.2)
-            self.assertEqual(code, int(not starts), err)
+            self.assertEqual(code, 0 if starts else 2, err)
             self.assertIn("robot: reports no pose of its tool", err)
 
     def test_settings_of_the_checks(self):
@@ -243,7 +243,7 @@ class TestHardware(unittest.TestCase):
                 ("{arms: {}}", "arms"),
             ):
                 code, _, err = run_hardware(server, "--checks-text", text)
-                self.assertEqual(code, 1)
+                self.assertEqual(code, 2)
                 self.assertIn(message, err)
 
     def test_any_exception_leaves_the_slider_at_zero(self):

@@ -29,9 +29,9 @@ class ArmConfig:
     # Time that the arm may take to follow the slider, s (assumed). Until then
     # it may still be as fast as the slider allowed before. The simulated UR
     # takes 0.2 s over the full range, and 0.1 s are margin. How long a real
-    # one takes is not published: measure it (docs/hardware.md). With more
-    # than 0.3 s it would not stop within the law's T_stop of 0.4 s, so this
-    # must not be raised without raising T_stop.
+    # one takes is not published: measure it (docs/hardware.md). The law's
+    # T_stop of 0.4 s is as long as the slider itself takes to fall: an arm
+    # that lags by more than this needs a longer T_stop as well.
     ramp_time: float = 0.3
 
     # A joint may be faster than the allowed fraction of its greatest speed by

@@ -372,12 +372,10 @@ class SimulatedUr:
     def _calc_next_rate(self, period):
         """Returns the speed fraction after a cycle."""
         if self.is_program_running():
-            wanted, time = (
-                max(self.slider, self.slowest_fraction),
-                (self._config.ramp),
-            )
+            wanted = max(self.slider, self.slowest_fraction)
             if self.ignores_slider:
                 wanted = 1.0
+            time = self._config.ramp
         elif self.safety_mode in _MAY_MOVE:
             wanted, time = 0.0, self._config.pause_time
         else:
