@@ -6,7 +6,8 @@ same pose. Another robot, an offset of a joint or joints that are out of date
 do not.
 
 Frames: B is the model's `base`, which is UR's own base frame and not ROS's
-`base_link` (that one is turned by 180 degrees about z). F is the tool flange, T the tool centre point as the robot is set up.
+`base_link` (that one is turned by 180 degrees about z). F is the
+tool flange, T the tool centre point as the robot is set up.
 """
 
 import dataclasses as dc
