@@ -7,6 +7,7 @@ import yaml
 from tofssm_drake.diagrams.hardware_loop import HardwareLoop, TickInput
 from tofssm_drake.diagrams.hardware_run import describe_state
 from tofssm_drake.diagrams.scenario import Scenario, change_scenario
+from tofssm_drake.hardware.arm_obedience import ArmConfig
 from tofssm_drake.hardware.run_record import RunReader
 from tofssm_drake.hardware.slider import SliderConfig
 
@@ -43,6 +44,7 @@ def replay_record(reader: RunReader) -> ReplayResult:
         slider=SliderConfig(
             minimum_fraction=run["minimum_fraction"],
             operator_limit=run.get("slider_limit"),
+            arm=ArmConfig(**run["arm"]),
         ),
     )
     ticks = differences = 0

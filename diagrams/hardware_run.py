@@ -25,7 +25,14 @@ from tofssm_drake.diagrams.hardware_loop import (
 )
 from tofssm_drake.diagrams.scenario import Scenario
 from tofssm_drake.errors import UserError, require
+from tofssm_drake.hardware.model_match import (
+    ModelConfig,
+    ModelMatch,
+    start_model_match,
+    step_model_match,
+)
 from tofssm_drake.hardware.ring_link import RingConnection, explain_silence
+from tofssm_drake.hardware.robot_checks import RobotChecks
 from tofssm_drake.hardware.robot_clock import RobotClock
 from tofssm_drake.hardware.robot_connection import RobotConnection
 from tofssm_drake.hardware.rtde_fields import SafetyMode, name_of
@@ -63,7 +70,12 @@ _QUIET = 2.0
 
 
 def require_ready(
-    report: RobotReport, scenario: Scenario, plant, *, max_deviation: float
+    report: RobotReport,
+    scenario: Scenario,
+    plant,
+    *,
+    max_deviation: float,
+    model: ModelConfig | None = None,
 ) -> None:
     """Raises UserError unless the robot may be watched as it is.
 
@@ -73,6 +85,7 @@ def require_ready(
         plant: The cell's, with the arm's limits.
         max_deviation: How far any joint may be from where the program ever
             is, rad; inf: anywhere within the limits.
+        model: How near its tool must be to the model's; None: as by default.
     """
     for mode in (report.safety_mode, report.safety_status):
         # Older software has no safety status: -1.
@@ -83,8 +96,10 @@ def require_ready(
             "normal or reduced",
         )
     require_plausible(report, RobotReport(), JointLimits.from_plant(plant))
+    kinematics = RingKinematics.from_plant(plant)
+    start_model_match(model or ModelConfig(), kinematics, report)
     q = report.position
-    path = make_program_path(scenario.program, RingKinematics.from_plant(plant))
+    path = make_program_path(scenario.program, kinematics)
     positions = np.array(
         [
             path.calc_motion(t)[0]
@@ -351,6 +366,8 @@ class HardwareRun:
         period: Control tick, s.
         record: What everything is written to; None: nothing is.
         limits: What no report may exceed; None: anything may be.
+        kinematics: Of the modelled robot; None: any robot will do.
+        checks: How the robot is checked; None: as by default.
         lowest: Where the slider is put while robot and rings are waited for.
         clock: Shows the host's time, s.
     """
@@ -364,6 +381,8 @@ class HardwareRun:
         period: float,
         record: RunRecorder | None = None,
         limits: JointLimits | None = None,
+        kinematics: RingKinematics | None = None,
+        checks: RobotChecks | None = None,
         lowest: float = 0.0,
         clock: Callable[[], float] = time.monotonic,
     ):
@@ -372,6 +391,10 @@ class HardwareRun:
         self._rings = rings
         self._record = record
         self._limits = limits
+        self._kinematics = kinematics
+        self._checks = RobotChecks() if checks is None else checks
+        self._checks.check("checks")
+        self._match = ModelMatch()
         self._lowest = lowest
         # The newest that was taken.
         self._report = RobotReport()
@@ -427,7 +450,7 @@ class HardwareRun:
 
         Raises:
             UserError: The robot is silent for too long, or far too late, or
-                what it reports can not be.
+                what it reports cannot be, or not of the modelled robot.
         """
         report = self._wait_for_report()
         if report.sequence <= self._report.sequence:
@@ -445,9 +468,7 @@ class HardwareRun:
             require_plausible(report, self._report, self._limits)
         self._report = report
         tick_time = self._robot_clock.update(report)
-        lateness = self._robot_clock.lateness
-        if not lateness <= _LATEST:
-            raise UserError(f"robot: reports come {1e3 * lateness:.0f} ms late")
+        self._require_good_clock()
         given = TickInput(
             time=tick_time,
             report=report,
@@ -460,7 +481,31 @@ class HardwareRun:
         self.ticks += 1
         if self._record is not None:
             self._record.add_tick(make_recorded_tick(given, result))
+        # After the answer, which must not wait for it.
+        self._require_modelled_robot(report)
         return result
+
+    def _require_good_clock(self):
+        """Raises UserError if reports are far too late or their time is off."""
+        lateness = self._robot_clock.lateness
+        if not lateness <= _LATEST:
+            raise UserError(f"robot: reports come {1e3 * lateness:.0f} ms late")
+        rate, tolerance = self._robot_clock.rate, self._checks.clock_tolerance
+        if not abs(rate.rate - 1.0) <= tolerance:
+            raise UserError(
+                f"robot: its clock runs {rate.newest:.3f} times as fast as "
+                f"this computer's, 1 +- {tolerance:g} is allowed"
+            )
+
+    def _require_modelled_robot(self, report):
+        """Raises UserError if the robot is not the modelled one."""
+        if self._kinematics is None:
+            return
+        self._match = step_model_match(
+            self._checks.model, self._kinematics, self._match, report
+        )
+        if self._match.problem:
+            raise UserError(f"robot: {self._match.problem}")
 
     def _have_rings_come(self):
         # Somebody may have moved the slider, or the robot has started anew.

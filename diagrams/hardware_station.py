@@ -108,6 +108,10 @@ def make_hardware_station(
         gripper_closed=receiver.GetOutputPort("gripper_closed"),
         products_placed=receiver.GetOutputPort("products_placed"),
     )
+    slider = dc.replace(
+        SliderConfig() if slider is None else slider,
+        joint_speeds=tuple(plant.GetVelocityUpperLimits()[:6].tolist()),
+    )
     _add_slider(builder, commanded, slider)
     for name in (
         "position_measured",

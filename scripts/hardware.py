@@ -34,6 +34,7 @@ from tofssm_drake.diagrams.scenario import (
 from tofssm_drake.diagrams.simulation import Progress
 from tofssm_drake.errors import UserError, require
 from tofssm_drake.evaluation.report import count_of
+from tofssm_drake.hardware.model_match import describe_tool
 from tofssm_drake.hardware.ring_address import (
     parse_ring_address,
     require_distinct,
@@ -43,6 +44,7 @@ from tofssm_drake.hardware.robot_connection import RtdeStatus
 from tofssm_drake.hardware.rtde_client import RtdeClient
 from tofssm_drake.hardware.run_record import RunRecorder
 from tofssm_drake.hardware.slider import SliderConfig, find_operator_limit
+from tofssm_drake.robot.kinematics import RingKinematics
 from tofssm_drake.scripts.hardware_status import HardwareStatus
 import tofssm_drake.scripts.options as options
 from tofssm_drake.scripts.simulate import (
@@ -129,6 +131,15 @@ def hardware(
             "the scenario's program.",
         ),
     ] = False,
+    allow_no_pose: Annotated[
+        bool,
+        typer.Option(
+            "--allow-no-pose",
+            help="Start although the robot does not report its tool's pose, "
+            "so that nothing tells whether it is the modelled one.",
+        ),
+    ] = False,
+    checks_text: options.ChecksText = "",
     minimum_fraction: Annotated[
         float,
         typer.Option(help="Where a stop leaves the slider, 0 to 0.1."),
@@ -218,7 +229,9 @@ def hardware(
     )
     if not is_virtual:
         scenario.human = NoHuman()
+    checks = options.make_robot_checks(checks_text, allow_no_pose=allow_no_pose)
     slider = _make_slider_config(minimum_fraction, slider_limit, scenario)
+    slider.arm = checks.arm
     robot_config = options.make_robot_config(
         robot_host, robot_port, robot_text, write=not dry_run
     )
@@ -226,6 +239,7 @@ def hardware(
         "virtual_rings": is_virtual,
         "minimum_fraction": minimum_fraction,
         "dry_run": dry_run,
+        "arm": dc.asdict(checks.arm),
         "command": shlex.join(["tofssm", *sys.argv[1:]]),
     }
     with contextlib.ExitStack() as stack:
@@ -293,13 +307,17 @@ def hardware(
         stack.enter_context(keep_interpreter_quiet())
         is_real_time = stack.enter_context(run_in_real_time())
         stack.enter_context(keep_processors_awake())
+        plant = loop.workcell.station.plant
+        kinematics = RingKinematics.from_plant(plant)
         run = HardwareRun(
             loop=loop,
             robot=robot,
             rings=link,
             period=scenario.control_period,
             record=recorder,
-            limits=JointLimits.from_plant(loop.workcell.station.plant),
+            limits=JointLimits.from_plant(plant),
+            kinematics=kinematics,
+            checks=checks,
             lowest=slider.minimum_fraction,
         )
         first = run.wait(**waiting)
@@ -308,14 +326,18 @@ def hardware(
         require_ready(
             first,
             scenario,
-            loop.workcell.station.plant,
+            plant,
             max_deviation=math.inf if any_pose else 0.5,
+            model=checks.model,
         )
         if recorder is not None:
             recorder.add_run(
                 {"scenario": dump_scenario(scenario), **run_options}
             )
         _console.print(describe_robot(status, scenario.control_period))
+        tool = describe_tool(checks.model, kinematics, first)
+        if tool:
+            _console.print(tool)
         if not is_real_time:
             _console.print(_NO_PRIORITY)
         end = _run(run, robot, link, stopped, duration, dry_run)

@@ -10,6 +10,7 @@ import typer
 
 from tofssm_drake.diagrams.scenario import change_settings
 from tofssm_drake.errors import UserError, require
+from tofssm_drake.hardware.robot_checks import RobotChecks
 from tofssm_drake.hardware.rtde_client import RtdeConfig
 
 
@@ -55,6 +56,35 @@ RobotText = Annotated[
         "'{heartbeat_register: 25}'; see docs/robot_link.md."
     ),
 ]
+ChecksText = Annotated[
+    str,
+    typer.Option(
+        help="Settings of the robot's checks to change, as YAML, e.g. "
+        "'{arm: {ramp_time: 0.25}}'; see docs/robot_link.md."
+    ),
+]
+
+
+def make_robot_checks(text: str, *, allow_no_pose: bool) -> RobotChecks:
+    """Returns how the robot is checked, checked itself.
+
+    Args:
+        text: --checks-text.
+        allow_no_pose: --allow-no-pose.
+
+    Raises:
+        UserError: A setting is unknown, out of range or another option's.
+    """
+    checks = change_settings(
+        RobotChecks(), text, source="--checks-text", where="checks"
+    )
+    require(
+        not checks.model.allow_no_pose,
+        "--checks-text: checks.model.allow_no_pose: use --allow-no-pose",
+    )
+    checks.model.allow_no_pose = allow_no_pose
+    checks.check("checks")
+    return checks
 
 
 def make_robot_config(

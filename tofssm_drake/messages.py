@@ -293,6 +293,10 @@ class RobotReport(_Frozen):
         default_factory=lambda: np.full(6, np.nan)
     )
     """Of the tool in the base: m/s, then rad/s, (6,)."""
+    tcp_offset: np.ndarray = dc.field(
+        default_factory=lambda: np.full(6, np.nan)
+    )
+    """Tool in the flange: x, y, z in m, rotation vector in rad, (6,)."""
     digital_inputs: int = -1
     """Bits 0-7 standard, 8-15 configurable, 16-17 tool."""
     digital_outputs: int = -1

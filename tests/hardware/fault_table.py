@@ -175,6 +175,10 @@ def measure_in_lockstep(table: Table) -> None:
         robot.slider_frozen = True
         cell.inject("bus", "elbow")
 
+    def ignore(fraction=1.0):
+        robot.slowest_fraction = fraction
+        cell.inject("bus", "elbow")
+
     acts = {
         f"ring {kind}: {FAULTS[kind]}": (
             lambda k=kind: cell.inject(k, "elbow"),
@@ -183,6 +187,15 @@ def measure_in_lockstep(table: Table) -> None:
         for kind in _KINDS
     } | {
         "a ring, and the slider does not obey": (disobey, 1.0),
+        "a ring, and the arm ignores its slider": (ignore, 2.0),
+        "a ring, and the arm gets no slower than 0.6": (
+            lambda: ignore(0.6),
+            2.0,
+        ),
+        "a ring, and the arm gets no slower than 0.1": (
+            lambda: ignore(0.1),
+            2.0,
+        ),
         "robot's reports 0.15 s late": (late, 1.0),
         "robot silent": (silent, 1.0),
         "robot's clock jumps": (lambda: robot.shift_clock(5.0), 0.2),
@@ -204,6 +217,7 @@ def measure_in_lockstep(table: Table) -> None:
             cell.heal()
             cell.delay = 0.0
             cell.is_silent = robot.slider_frozen = False
+            robot.slowest_fraction = 0.0
             robot.set_safety_mode(SafetyMode.NORMAL)
             for _ in range(50):
                 cell.step()

@@ -9,7 +9,7 @@ import collections
 import dataclasses as dc
 import math
 
-from robot_room import make_robot
+from robot_room import make_kinematics, make_robot
 
 from tofssm_drake.diagrams.hardware_loop import HardwareLoop
 from tofssm_drake.diagrams.hardware_run import HardwareRun
@@ -30,7 +30,12 @@ from tofssm_drake.hardware.robot_connection import RtdeStatus
 from tofssm_drake.hardware.rtde_protocol import Recipe
 from tofssm_drake.hardware.rtde_report import ReportMaker, list_outputs
 from tofssm_drake.hardware.slider import SliderPhase
-from tofssm_drake.messages import RINGS, RobotReport, RobotState
+from tofssm_drake.messages import (
+    RINGS,
+    RobotReport,
+    RobotState,
+    SliderCommand,
+)
 
 CYCLE = 0.008
 # Host's time at the begin, s.
@@ -57,6 +62,10 @@ class Cell:
     It is the runner's `RobotConnection`: to wait for a report lets a cycle
     pass.
 
+    Args:
+        checks_model: Whether the run ends if the robot is not the modelled
+            one.
+
     Attributes:
         time: s since the begin.
         robot: A `SimulatedUr` with its watchdog at 0.2 s.
@@ -64,7 +73,7 @@ class Cell:
         delay: By how much they come late, s.
     """
 
-    def __init__(self):
+    def __init__(self, *, checks_model: bool = True):
         self.scenario = load_scenario(text="{human: !NoHuman {}}")
         self.robot = make_robot(
             program=self.scenario.program,
@@ -95,6 +104,7 @@ class Cell:
             robot=self,
             rings=self._link,
             period=self.scenario.control_period,
+            kinematics=make_kinematics() if checks_model else None,
             clock=lambda: _HOST + self.time,
         )
         self.result = None
@@ -116,7 +126,12 @@ class Cell:
         return RtdeStatus(connected=not self.is_silent, problem="")
 
     def close(self):
-        pass
+        """Writes 0, as a client does, and lets the heartbeat stand."""
+        self._commands = [
+            SliderCommand(
+                mask=1, heartbeat=self.robot.inputs["input_int_register_24"]
+            )
+        ]
 
     # What a test does.
 

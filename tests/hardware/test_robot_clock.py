@@ -1,5 +1,7 @@
 import unittest
 
+import numpy as np
+
 from tofssm_drake.hardware.robot_clock import RobotClock
 from tofssm_drake.messages import RobotReport
 
@@ -63,3 +65,44 @@ class TestRobotClock(unittest.TestCase):
         self.assertAlmostEqual(clock.lateness, 0.3, places=3)
         # The offset stays that of the fast ones.
         self.assertAlmostEqual(clock.offset, -1.0, places=4)
+
+
+class TestRate(unittest.TestCase):
+    def run_clock(self, *, rate=1.0, late=lambda t: 0.0, seconds=10.0):
+        """Returns the rates that were known, one per report."""
+        clock = RobotClock(period=_PERIOD)
+        rates = []
+        for k in range(round(seconds / _PERIOD)):
+            t = k * _PERIOD
+            clock.update(report(50.0 + rate * t, 900.0 + t + late(t)))
+            rates.append(clock.rate.rate)
+        self.newest = clock.rate.newest
+        return rates
+
+    def test_known_after_four_seconds(self):
+        for rate in (2.0, 1.1, 1.021, 1.0, 0.979, 0.5):
+            with self.subTest(rate=rate):
+                rates = self.run_clock(rate=rate, seconds=4.1)
+                self.assertAlmostEqual(rates[-1], rate, places=3)
+                self.assertAlmostEqual(self.newest, rate, places=3)
+                self.assertEqual(rates[round(1.9 / _PERIOD)], 1.0)
+
+    def test_late_reports_are_no_rate(self):
+        random = np.random.default_rng(1)
+        for late in (
+            lambda t: 0.24 * (3.0 < t < 4.5),
+            lambda t: 0.24 * (t < 3.3),
+            lambda t: 0.1 * (t % 2.0 < 0.9),
+            lambda t: 0.24 * random.random(),
+            lambda t: 0.05 * (t - 3.0) if 3.0 < t < 5.0 else 0.0,
+        ):
+            rates = self.run_clock(late=late)
+            self.assertLess(max(abs(r - 1.0) for r in rates), 0.02)
+
+    def test_each_session_has_its_own(self):
+        clock = RobotClock(period=_PERIOD)
+        for k in range(600):
+            clock.update(report(50.0 + 2.0 * k * _PERIOD, k * _PERIOD))
+        self.assertAlmostEqual(clock.rate.rate, 2.0, places=3)
+        clock.update(report(1.0, 600 * _PERIOD, session=1))
+        self.assertEqual(clock.rate.rate, 1.0)

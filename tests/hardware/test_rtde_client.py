@@ -376,7 +376,7 @@ class TestHandshake(unittest.TestCase):
         for server_class, message in (
             (WrongType, "unexpected types: robot_mode is DOUBLE"),
             (ZeroRecipe, "refused 125 Hz or the outputs"),
-            (TooFew, "17 outputs, 1 answered"),
+            (TooFew, "18 outputs, 1 answered"),
             (Names, "unexpected types"),
             (NoStart, "refused to start"),
             (Mute, "no answer to SETUP_OUTPUTS"),

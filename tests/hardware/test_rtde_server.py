@@ -619,6 +619,39 @@ class TestDashboard(TestServer):
             self.assertEqual(lines.readline(), "")
         self.assertEqual(self.robot.slider, 0.5)
 
+    def test_faults_of_arm_and_robot(self):
+        robot = self.server.robot
+        for text, is_good in (
+            ("arm-ignores-slider on", True),
+            ("arm-ignores-slider 1", False),
+            ("arm-slow 0.6", True),
+            ("arm-slow 1.1", False),
+            ("joint-offset 2 0.1", True),
+            ("joint-offset 7 0.1", False),
+            ("joint-offset 1", False),
+            ("joint-offset 1 inf", False),
+            ("joints-late 0.05", True),
+            ("joints-late 2", False),
+            ("tcp-offset 0 0.1 0.3", True),
+            ("tcp-offset 0 0", False),
+            ("tcp-offset 0 0 nan", False),
+            ("clock-rate 2", True),
+            ("clock-rate 0", False),
+        ):
+            with self.subTest(text=text):
+                self.assertEqual(
+                    self.server.do(f"simulate {text}"),
+                    f"simulating {text}"
+                    if is_good
+                    else f"could not understand: 'simulate {text}'",
+                )
+        self.assertTrue(robot.ignores_slider)
+        self.assertEqual(robot.slowest_fraction, 0.6)
+        self.assertEqual(robot.joint_offset.tolist(), [0, 0.1, 0, 0, 0, 0])
+        self.assertEqual(robot.joints_late, 0.05)
+        self.assertEqual(robot.tcp_offset[:3].tolist(), [0, 0.1, 0.3])
+        self.assertEqual(robot.clock_rate, 2.0)
+
     def test_frozen_slider(self):
         self.server.do("simulate slider-frozen on")
         dut = self.connect()

@@ -12,6 +12,7 @@ from mcap.reader import make_reader
 import numpy as np
 
 from tofssm_drake.errors import UserError
+from tofssm_drake.hardware.arm_obedience import ArmConfig
 import tofssm_drake.hardware.run_record as mut
 from tofssm_drake.messages import RingScan, RobotReport, SliderCommand
 
@@ -272,6 +273,7 @@ class TestRunRecord(unittest.TestCase):
             "virtual_rings": False,
             "dry_run": True,
             "minimum_fraction": 0.0,
+            "arm": vars(ArmConfig()),
         }
         with mut.RunRecorder(self.path, run) as recorder:
             recorder.add_tick(nothing)

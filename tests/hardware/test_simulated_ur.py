@@ -6,6 +6,7 @@ from robot_room import make_kinematics, make_robot
 from scipy.spatial.transform import Rotation
 
 from tofssm_drake.errors import UserError
+from tofssm_drake.hardware.model_match import make_pose
 from tofssm_drake.hardware.rtde_fields import (
     OUTPUT_TYPES,
     RuntimeState,
@@ -63,12 +64,17 @@ def write_slider(robot, fraction, mask=1):
     )
 
 
+def make_tool():
+    """Returns the modelled tool in the flange, (3, 4)."""
+    return make_pose(mut.calc_tcp_offset(make_kinematics()))
+
+
 class TestKinematics(unittest.TestCase):
     def test_tool_pose_agrees_with_published_table(self):
         tcp = 0.0
         for q in np.random.default_rng(1).uniform(-3, 3, (20, 6)):
             pose, _, elbow, _ = mut.calc_tool_motion(
-                make_kinematics(), q, np.zeros(6)
+                make_kinematics(), q, np.zeros(6), make_tool()
             )
             flange = calc_dh_pose(q)
             # The tool stands off along the flange's axis.
@@ -115,7 +121,9 @@ class TestKinematics(unittest.TestCase):
         h = 1e-6
         for q, qd in np.random.default_rng(2).uniform(-2, 2, (10, 2, 6)):
             results = [
-                mut.calc_tool_motion(make_kinematics(), q + s * h * qd, qd)
+                mut.calc_tool_motion(
+                    make_kinematics(), q + s * h * qd, qd, make_tool()
+                )
                 for s in (-1, 0, 1)
             ]
             (before, _, elbow_before, _), now, (after, _, elbow_after, _) = (
@@ -349,6 +357,77 @@ class TestWatchdog(unittest.TestCase):
         run(robot, 60)
         self.beat(robot, 10, first=9)
         self.assertEqual(robot.runtime_state, RuntimeState.STOPPED)
+
+
+class TestFaults(unittest.TestCase):
+    def test_arm_that_ignores_its_slider(self):
+        for fault, fraction in (
+            ({"ignores_slider": True}, 1.0),
+            ({"slowest_fraction": 0.6}, 0.6),
+            ({"slowest_fraction": 0.1}, 0.3),
+            ({}, 0.3),
+        ):
+            robot = make_robot()
+            run(robot, 50)
+            vars(robot).update(fault)
+            write_slider(robot, 0.3)
+            run(robot, 50)
+            self.assertEqual(robot.outputs["target_speed_fraction"], 0.3)
+            self.assertAlmostEqual(robot.speed_fraction, fraction)
+
+    def test_a_program_that_ends_ends(self):
+        robot = make_robot()
+        robot.ignores_slider = True
+        run(robot, 50)
+        robot.stop()
+        run(robot, 50)
+        self.assertEqual(robot.speed_fraction, 0.0)
+
+    def test_joints_that_are_off_or_late(self):
+        for series in ("cb3", "e"):
+            right, wrong = make_robot(series=series), make_robot(series=series)
+            wrong.joint_offset[2] = 0.1
+            wrong.joints_late = 0.048
+            before = []
+            for _ in range(right.rate // 2):
+                right.step()
+                wrong.step()
+                before.append(np.array(right.outputs["actual_q"]))
+            q = before[-1 - round(0.048 * right.rate)]
+            np.testing.assert_allclose(
+                wrong.outputs["actual_q"], np.add(q, [0, 0, 0.1, 0, 0, 0])
+            )
+            self.assertGreater(abs(q - before[-1]).max(), 0.01)
+            np.testing.assert_allclose(wrong.position, before[-1])
+            np.testing.assert_allclose(
+                wrong.velocity, right.outputs["actual_qd"]
+            )
+            for name in ("actual_TCP_pose", "actual_TCP_speed", "timestamp"):
+                self.assertEqual(wrong.outputs[name], right.outputs[name])
+
+    def test_tool_that_is_set_up_elsewhere(self):
+        robot = make_robot()
+        run(robot, 60)
+        robot.tcp_offset[:3] = (0.1, 0.0, 0.3)
+        before = robot.outputs["actual_TCP_pose"]
+        robot.step()
+        now = robot.outputs["actual_TCP_pose"]
+        self.assertEqual(robot.outputs["tcp_offset"][:3], (0.1, 0.0, 0.3))
+        # 0.1 m to the side and 0.1 m beyond the modelled tool.
+        self.assertAlmostEqual(
+            np.linalg.norm(np.subtract(now[:3], before[:3])), 0.1414, delta=0.02
+        )
+
+    def test_rate_of_the_clock(self):
+        robot = make_robot(watchdog_timeout=0.2)
+        start = robot.timestamp
+        robot.clock_rate = 2.0
+        run(robot, 24)
+        self.assertAlmostEqual(robot.timestamp - start, 2 * 24 * 0.008)
+        # The watchdog counts true seconds.
+        self.assertEqual(robot.runtime_state, RuntimeState.PLAYING)
+        run(robot, 3)
+        self.assertEqual(robot.runtime_state, RuntimeState.STOPPING)
 
 
 class TestInputsAndFields(unittest.TestCase):

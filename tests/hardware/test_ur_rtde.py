@@ -10,8 +10,12 @@ import numpy as np
 from robot_process import find_free_host, start_robot
 from robot_room import make_kinematics
 
+from tofssm_drake.hardware.model_match import make_pose
 from tofssm_drake.hardware.rtde_fields import RuntimeState
-from tofssm_drake.hardware.simulated_ur import calc_tool_motion
+from tofssm_drake.hardware.simulated_ur import (
+    calc_tcp_offset,
+    calc_tool_motion,
+)
 
 _PEER = Path(__file__).parent / "ur_rtde_peer.py"
 
@@ -37,7 +41,10 @@ class TestUrRtde(unittest.TestCase):
         # The program waits for its heartbeat: the robot stands.
         self.assertEqual(seen["runtime_state"], RuntimeState.STOPPED)
         pose, *_ = calc_tool_motion(
-            make_kinematics(), np.array(seen["q"]), np.zeros(6)
+            make_kinematics(),
+            np.array(seen["q"]),
+            np.zeros(6),
+            make_pose(calc_tcp_offset(make_kinematics())),
         )
         np.testing.assert_allclose(seen["tcp_pose"], pose, atol=1e-9)
 

@@ -25,11 +25,16 @@ from tofssm_drake.diagrams.hardware_run import require_ready
 from tofssm_drake.diagrams.scenario import load_scenario
 from tofssm_drake.errors import UserError
 from tofssm_drake.hardware import rtde_systems
+from tofssm_drake.hardware.model_match import make_pose
 from tofssm_drake.hardware.ring_link import RingLink
 from tofssm_drake.hardware.rtde_client import RtdeClient
 from tofssm_drake.hardware.rtde_fields import SafetyMode
 from tofssm_drake.hardware.rtde_protocol import PackageType
 from tofssm_drake.hardware.run_record import RunReader
+from tofssm_drake.hardware.simulated_ur import (
+    calc_tcp_offset,
+    calc_tool_motion,
+)
 from tofssm_drake.messages import RobotReport
 from tofssm_drake.robot.kinematics import RingKinematics
 from tofssm_drake.robot.program import make_program_path
@@ -190,6 +195,56 @@ class TestHardware(unittest.TestCase):
         self.assertIn(PackageType.SETUP_OUTPUTS, kinds)
         self.assertNotIn(PackageType.SETUP_INPUTS, kinds)
         self.assertNotIn(PackageType.DATA_PACKAGE, kinds)
+
+    def test_another_robot_does_not_start(self):
+        robot = make_robot(start="heartbeat")
+        robot.joint_offset[1] = 0.1
+        with serve(robot) as server:
+            code, _, err = run_hardware(server)
+        self.assertEqual(code, 2)
+        self.assertRegex(
+            err,
+            "robot: reported tool is [0-9]+ mm and 5.7 deg from where the "
+            "modelled arm has it with these joints; 20 mm and 2.0 deg are "
+            "allowed; slider set to 0",
+        )
+        self.assertEqual(robot.path_time, 0.0)
+
+    def test_a_robot_that_tells_no_pose(self):
+        for options, starts in (((), False), (("--allow-no-pose",), True)):
+            robot = make_robot(start="heartbeat")
+            del robot.output_types["actual_TCP_pose"]
+            with serve(robot) as server:
+                code, _, err = run_hardware(server, *options, "--duration", 0.2)
+            self.assertEqual(code, 0 if starts else 2, err)
+            self.assertIn("robot: reports no pose of its tool", err)
+
+    def test_settings_of_the_checks(self):
+        """And a record knows them: else a replay would tell a difference."""
+        with (
+            tempfile.TemporaryDirectory() as folder,
+            serve(make_robot(start="heartbeat")) as server,
+        ):
+            path = Path(folder) / "run.mcap"
+            code, _, err = run_hardware(
+                server,
+                *("--duration", 1.0, "--record", path),
+                *("--checks-text", "{arm: {ramp_time: 0.21}}"),
+            )
+            self.assertEqual(code, 0, err)
+            self.assertEqual(RunReader(path).run["arm"]["ramp_time"], 0.21)
+            code, out = run_replay(path)
+            self.assertEqual(code, 0)
+            self.assertIn("all states as recorded", out)
+            for text, message in (
+                ("{arm: {ramp_time: 0}}", "checks.arm.ramp_time: must be more"),
+                ("{model: {allow_no_pose: true}}", "use --allow-no-pose"),
+                ("{clock_tolerance: 1}", "checks.clock_tolerance: must be"),
+                ("{arms: {}}", "arms"),
+            ):
+                code, _, err = run_hardware(server, "--checks-text", text)
+                self.assertEqual(code, 2)
+                self.assertIn(message, err)
 
     def test_any_exception_leaves_the_slider_at_zero(self):
         """In a system, in the law, in the loop: each is one line."""
@@ -638,11 +693,19 @@ class TestReady(unittest.TestCase):
             cls.scenario.program, RingKinematics.from_plant(cls.plant)
         )
         cls.q = path.calc_motion(0.5 * path.duration)[0]
+        cls.kinematics = RingKinematics.from_plant(cls.plant)
 
     def require(self, *, max_deviation=0.5, **fields):
+        q = fields.get("position", self.q)
+        tool = calc_tcp_offset(self.kinematics)
+        pose, *_ = calc_tool_motion(
+            self.kinematics, np.array(q), np.zeros(6), make_pose(tool)
+        )
         require_ready(
             RobotReport(
                 **{
+                    "tcp_pose": pose,
+                    "tcp_offset": tool,
                     "position": self.q,
                     "velocity": np.zeros(6),
                     "safety_mode": 1,
@@ -658,6 +721,12 @@ class TestReady(unittest.TestCase):
     def test_fit(self):
         self.require()
         self.require(safety_mode=2, safety_status=-1)
+
+    def test_another_robot(self):
+        with self.assertRaisesRegex(UserError, "robot: reported tool is"):
+            self.require(tcp_pose=np.zeros(6))
+        with self.assertRaisesRegex(UserError, "reports no pose of its tool"):
+            self.require(tcp_pose=np.full(6, np.nan))
 
     def test_safety_modes(self):
         for fields in (

@@ -1,6 +1,8 @@
 """From a robot's clock to the Diagram's."""
 
+import dataclasses as dc
 import math
+import statistics
 
 from tofssm_drake.hardware.ring_clock import (
     ClockMap,
@@ -13,6 +15,67 @@ from tofssm_drake.messages import RobotReport
 _MAX_DRIFT = 200e-6
 # The robot's clock counts its cycles; this much is rounding, s.
 _ROUNDING = 1e-5
+# The rate is that of the median of so many steps of so many seconds.
+_RATE_STEPS = 5
+_RATE_STEP = 1.0
+
+
+@dc.dataclass(frozen=True, kw_only=True)
+class ClockRate:
+    """How fast a robot's clock runs beside the host's.
+
+    Of each second the fastest report counts, and of the last five steps from
+    one second to the next the median. So neither late reports nor a jump of
+    the lateness pass for a rate; a wrong rate is known after three steps, 3
+    to 4 s.
+    """
+
+    began: float = math.nan
+    """Host's time at which the present second began, s; NaN: none yet."""
+    least: float = math.inf
+    """Least host's minus robot's time in it, s."""
+    before: tuple[float, float] = (math.nan, math.nan)
+    """Robot's time at the end of the second before, and its `least`, s."""
+    drifts: tuple[float, ...] = (0.0,) * _RATE_STEPS
+    """What the host's clock gained in each step, s per robot's s."""
+
+    @property
+    def rate(self) -> float:
+        """Robot's seconds per host's second; 1 until more is known."""
+        return _calc_rate(statistics.median(self.drifts))
+
+    @property
+    def newest(self) -> float:
+        """The same of the last step alone, which may be a late report's."""
+        return _calc_rate(self.drifts[-1])
+
+
+def _calc_rate(drift):
+    return 1.0 / max(1.0 + drift, 1e-9)
+
+
+def update_clock_rate(
+    state: ClockRate, *, device: float, host: float
+) -> ClockRate:
+    """Returns what is known of the rate after one more report.
+
+    Args:
+        state: After the report before, of the same session.
+        device: Robot's time in the report, s.
+        host: Host's time of its arrival, s.
+    """
+    if math.isnan(state.began):
+        return dc.replace(state, began=host, least=host - device)
+    least = min(state.least, host - device)
+    if host - state.began < _RATE_STEP:
+        return dc.replace(state, least=least)
+    then, least_then = state.before
+    drifts = state.drifts
+    if device > then:
+        drifts = (*drifts[1:], (least - least_then) / (device - then))
+    return ClockRate(
+        began=host, least=math.inf, before=(device, least), drifts=drifts
+    )
 
 
 class RobotClock:
@@ -28,6 +91,7 @@ class RobotClock:
         lateness: By how much that report came later than the fastest ones of
             its session, s.
         offset: What the Diagram's clock shows more than the host's, s.
+        rate: What is known of the rates of both clocks.
 
     Args:
         period: Control tick, s.
@@ -42,6 +106,7 @@ class RobotClock:
         self.time = 0.0
         self.lateness = 0.0
         self.offset = 0.0
+        self.rate = ClockRate()
 
     def update(self, report: RobotReport) -> float:
         """Takes the next report and returns the Diagram's time of it, s."""
@@ -53,6 +118,7 @@ class RobotClock:
             self._session = report.session
             self._origin = begin - report.timestamp
             self._map = start_clock_map(device=begin, host=report.time)
+            self.rate = ClockRate()
         # Never back: the Simulator can not follow.
         time = max(self._snap(self._origin + report.timestamp), self.time)
         if time > self._map.device:
@@ -62,6 +128,9 @@ class RobotClock:
                 host=report.time,
                 max_drift=_MAX_DRIFT,
             )
+        self.rate = update_clock_rate(
+            self.rate, device=report.timestamp, host=report.time
+        )
         self.time = time
         self.lateness = self._map.lateness
         self.offset = -self._map.offset

@@ -15,6 +15,7 @@ _VECTORS = {
     "acceleration_commanded": "target_qdd",
     "tcp_pose": "actual_TCP_pose",
     "tcp_velocity": "actual_TCP_speed",
+    "tcp_offset": "tcp_offset",
 }
 _SCALARS = {
     "timestamp": "timestamp",

@@ -464,6 +464,12 @@ class RtdeServer:
 
             simulate slider 0.5       a person moves the slider
             simulate slider-frozen on clients can not move it any more
+            simulate arm-ignores-slider on  it moves, the arm does not care
+            simulate arm-slow 0.6     the arm gets no slower than that
+            simulate joint-offset 1 0.1  joint 1 is reported off by 0.1 rad
+            simulate joints-late 0.05 joints are reported so late, s
+            simulate tcp-offset 0 0 0.3  the tool is set up there, m
+            simulate clock-rate 2     the clock runs twice as fast
             simulate safety 3         safety mode, here a protective stop
             simulate stall 0.5        no data packages for that long, s
             simulate skip 5           leave out the next data packages
@@ -533,6 +539,23 @@ class RtdeServer:
                 raise ValueError(value)
             return number
 
+        def number_within(low, high):
+            if not low <= number() <= high:
+                raise ValueError(value)
+            return number()
+
+        def offset_joint():
+            joint, offset = value.split()
+            if not 1 <= int(joint) <= 6 or not math.isfinite(float(offset)):
+                raise ValueError(value)
+            robot.joint_offset[int(joint) - 1] = float(offset)
+
+        def offset_tool():
+            offset = [float(v) for v in value.split()]
+            if len(offset) != 3 or not math.isfinite(sum(offset)):
+                raise ValueError(value)
+            robot.tcp_offset[:3] = offset
+
         def count():
             count = int(value)
             if count < 0:
@@ -542,6 +565,20 @@ class RtdeServer:
         actions = {
             "slider": lambda: robot.move_slider(number()),
             "slider-frozen": lambda: setattr(robot, "slider_frozen", switch()),
+            "arm-ignores-slider": lambda: setattr(
+                robot, "ignores_slider", switch()
+            ),
+            "arm-slow": lambda: setattr(
+                robot, "slowest_fraction", number_within(0.0, 1.0)
+            ),
+            "joint-offset": offset_joint,
+            "joints-late": lambda: setattr(
+                robot, "joints_late", number_within(0.0, 1.0)
+            ),
+            "tcp-offset": offset_tool,
+            "clock-rate": lambda: setattr(
+                robot, "clock_rate", number_within(0.1, 10.0)
+            ),
             "safety": lambda: robot.set_safety_mode(SafetyMode(int(value))),
             "stall": lambda: setattr(
                 faults, "stalled_until", time.monotonic() + number()

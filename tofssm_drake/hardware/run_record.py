@@ -44,7 +44,7 @@ from tofssm_drake.messages import (
 
 _MAGIC = b"\x89MCAP0\r\n"
 _FLUSH_PERIOD = 0.25
-_VERSION = 3
+_VERSION = 4
 _TOKENS = re.compile(r'"(?:[^"\\]|\\.)*"|NaN|Infinity')
 _REPLACED = {"NaN": "null", "Infinity": "1e999"}
 

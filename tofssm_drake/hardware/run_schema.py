@@ -10,6 +10,7 @@ import enum
 
 import numpy as np
 
+from tofssm_drake.hardware.arm_obedience import ArmConfig
 from tofssm_drake.hardware.slider import SliderPhase
 from tofssm_drake.messages import (
     RINGS,
@@ -75,6 +76,7 @@ SCHEMAS = {
         dry_run=_BOOLEAN,
         minimum_fraction=_NUMBER,
         slider_limit=_NUMBER,
+        arm=_make_object(**dict.fromkeys(vars(ArmConfig()), _NUMBER)),
     ),
     "/tick": _make_object(
         ("sent", "early_scans"),

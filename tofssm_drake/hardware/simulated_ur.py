@@ -6,6 +6,7 @@ speed that the slider allows, and `outputs` is what the controller would tell
 in that cycle. The server around it is `rtde_server.py`.
 """
 
+import collections
 import dataclasses as dc
 import math
 
@@ -13,6 +14,7 @@ import numpy as np
 from pydrake.math import RotationMatrix
 
 from tofssm_drake.errors import require
+from tofssm_drake.hardware.model_match import compose, make_pose
 from tofssm_drake.hardware.rtde_fields import (
     ECHOED_TYPES,
     INPUT_TYPES,
@@ -48,6 +50,8 @@ _SAFETY_BITS = {
     SafetyMode.FAULT: SafetyStatusBit.FAULT,
 }
 _MAY_MOVE = (SafetyMode.NORMAL, SafetyMode.REDUCED)
+# Joints can be reported that much too late, s.
+_MOST_LATE = 1.0
 
 
 @dc.dataclass(kw_only=True)
@@ -177,13 +181,35 @@ class SimulatedUr:
         self.slider = 1.0
         self.slider_frozen = False
         """A fault to inject: inputs do not move the slider."""
+        self.ignores_slider = False
+        """A fault to inject: the slider moves, and the arm does not care."""
+        self.slowest_fraction = 0.0
+        """A fault to inject: the arm follows the slider down to that only."""
+        self.joint_offset = np.zeros(6)
+        """A fault to inject: the reported joints are off by that, rad, (6,);
+        the tool's pose is right."""
+        self.joints_late = 0.0
+        """A fault to inject: the reported joints and their speeds are of so
+        long ago, s, at most 1; the tool's pose is of now."""
+        self.clock_rate = 1.0
+        """A fault to inject: seconds of the controller's clock per second."""
+        self.tcp_offset = calc_tcp_offset(kinematics)
+        """Tool in the flange as the robot is set up: x, y, z, rotation
+        vector, m, rad, (6,); at first the modelled tool's."""
+        self.position = np.zeros(6)
+        """True joint angles, rad, (6,), whatever is reported."""
+        self.velocity = np.zeros(6)
+        """True joint speeds, rad/s, (6,)."""
+        self._joints = collections.deque(
+            maxlen=round(_MOST_LATE * self.rate) + 1
+        )
         self.safety_mode = int(SafetyMode.NORMAL)
         self.runtime_state = RuntimeState.STOPPED
         self.path_time = 0.0
         self.speed_fraction = 0.0
         """How fast the path is run, of nominal: follows slider and pauses."""
         self._beat = None
-        self._beat_time = self.timestamp
+        self._beat_cycle = 0
         self.outputs |= {
             "joint_temperatures": (30.0,) * 6,
             "joint_mode": (253,) * 6,
@@ -192,7 +218,6 @@ class SimulatedUr:
             "actual_joint_voltage": (48.0,) * 6,
             "robot_mode": int(RobotMode.RUNNING),
             "speed_scaling": 1.0,
-            "tcp_offset": tuple(calc_tcp_offset(kinematics).tolist()),
         }
         if config.start == "now":
             self.play()
@@ -251,7 +276,7 @@ class SimulatedUr:
             if self.path_time >= self._path.duration:
                 self.path_time = 0.0
             self.runtime_state = RuntimeState.PLAYING
-        self._beat_time = self.timestamp
+        self._beat_cycle = self.cycle
         return True
 
     def pause(self) -> None:
@@ -279,7 +304,6 @@ class SimulatedUr:
     def shift_clock(self, seconds: float) -> None:
         """Lets the controller's clock jump."""
         self.timestamp += seconds
-        self._beat_time += seconds
 
     def is_program_running(self) -> bool:
         """Returns whether the program plays or is about to."""
@@ -292,7 +316,7 @@ class SimulatedUr:
         """Goes on by one control cycle."""
         period = 1.0 / self.rate
         self.cycle += 1
-        self.timestamp += period
+        self.timestamp += period * self.clock_rate
         self._watch_heartbeat()
         rate, path = self.speed_fraction, self._path
         next_rate = self._calc_next_rate(period)
@@ -327,7 +351,7 @@ class SimulatedUr:
             self._beat = beat
         if beat != self._beat:
             self._beat = beat
-            self._beat_time = self.timestamp
+            self._beat_cycle = self.cycle
             if (
                 self._config.start == "heartbeat"
                 and self.path_time == 0.0
@@ -338,7 +362,7 @@ class SimulatedUr:
         if (
             timeout
             and self.is_program_running()
-            and self.timestamp - self._beat_time > timeout
+            and (self.cycle - self._beat_cycle) / self.rate > timeout
         ):
             if self._config.watchdog_action == "pause":
                 self.pause()
@@ -348,7 +372,10 @@ class SimulatedUr:
     def _calc_next_rate(self, period):
         """Returns the speed fraction after a cycle."""
         if self.is_program_running():
-            wanted, time = self.slider, self._config.ramp
+            wanted = max(self.slider, self.slowest_fraction)
+            if self.ignores_slider:
+                wanted = 1.0
+            time = self._config.ramp
         elif self.safety_mode in _MAY_MOVE:
             wanted, time = 0.0, self._config.pause_time
         else:
@@ -369,9 +396,11 @@ class SimulatedUr:
         rate = self.speed_fraction
         qd = dq * rate
         qdd = ddq * rate * rate + dq * rate_change
+        self.position, self.velocity = q, qd
         pose, velocity, elbow, elbow_velocity = calc_tool_motion(
-            self._kinematics, q, qd
+            self._kinematics, q, qd, make_pose(self.tcp_offset)
         )
+        q, qd = self._calc_reported_joints()
         running = self.is_program_running()
         for name, value in (
             ("q", q),
@@ -384,6 +413,7 @@ class SimulatedUr:
             self.outputs[f"target_{name}"] = value
         self.outputs |= {
             "timestamp": self.timestamp,
+            "tcp_offset": tuple(float(x) for x in self.tcp_offset),
             "target_qdd": tuple(qdd.tolist()),
             "elbow_position": tuple(elbow.tolist()),
             "elbow_velocity": tuple(elbow_velocity.tolist()),
@@ -401,6 +431,13 @@ class SimulatedUr:
             ),
         }
 
+    def _calc_reported_joints(self):
+        """Returns what is told of angles and speeds of the joints."""
+        self._joints.append((self.position, self.velocity))
+        late = min(round(self.joints_late * self.rate), len(self._joints) - 1)
+        q, qd = self._joints[-1 - late]
+        return q + self.joint_offset, qd
+
     def _calc_safety_bits(self):
         bits = _SAFETY_BITS.get(self.safety_mode, SafetyStatusBit(0))
         if self.safety_mode not in _MAY_MOVE:
@@ -409,7 +446,7 @@ class SimulatedUr:
 
 
 def calc_tool_motion(
-    kinematics: RingKinematics, q: np.ndarray, qd: np.ndarray
+    kinematics: RingKinematics, q: np.ndarray, qd: np.ndarray, X_FT: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Returns what a UR controller tells of tool and elbow.
 
@@ -417,6 +454,7 @@ def calc_tool_motion(
         kinematics: Of the robot.
         q: Joint angles, rad, (6,).
         qd: Joint speeds, rad/s, (6,).
+        X_FT: Pose of the tool in the flange, (3, 4).
 
     Returns:
         Tool's pose in the base: x, y, z, rotation vector, m, rad, (6,).
@@ -424,20 +462,16 @@ def calc_tool_motion(
         (6,).
         Elbow's position and velocity in the base, m, m/s, (3,) each.
     """
-    R_WB = kinematics.X_WB[:, :3]
-    p_WB = kinematics.X_WB[:, 3]
-    X_WA = np.empty((7, 3, 4))
-    calc_link_poses(kinematics.X_WB, kinematics.X_PJ, q, X_WA)
-    X_WS, v_WS = kinematics.calc_sites(q, qd)
-    axes = X_WA[1:, :, 2]
-    pose = _calc_pose_vector(
-        R_WB.T @ X_WS[-1, :, :3], (X_WS[-1, :, 3] - p_WB) @ R_WB
-    )
-    velocity = np.concatenate([v_WS[-1] @ R_WB, qd @ axes @ R_WB])
+    X_BA = np.empty((7, 3, 4))
+    calc_link_poses(np.eye(3, 4), kinematics.X_PJ, q, X_BA)
+    axes = X_BA[1:, :, 2]
+    X_BT = compose(X_BA[-1], X_FT)
+    pose = _calc_pose_vector(X_BT[:, :3], X_BT[:, 3])
+    v_BT = qd @ np.cross(axes, X_BT[:, 3] - X_BA[1:, :, 3])
     # The elbow joint's origin rides on the upper arm.
-    p_WE = X_WA[3, :, 3]
-    v_WE = qd[:2] @ np.cross(axes[:2], p_WE - X_WA[1:3, :, 3])
-    return pose, velocity, (p_WE - p_WB) @ R_WB, v_WE @ R_WB
+    p_BE = X_BA[3, :, 3]
+    v_BE = qd[:2] @ np.cross(axes[:2], p_BE - X_BA[1:3, :, 3])
+    return pose, np.concatenate([v_BT, qd @ axes]), p_BE, v_BE
 
 
 def calc_tcp_offset(kinematics: RingKinematics) -> np.ndarray:

@@ -2,8 +2,9 @@
 
 The slider is a wish, not a fact: a write may be lost, a person may move the
 slider, a pause may reset it. So each report's echo, `target_speed_fraction`,
-is compared with what was written. One pure function, `step_slider`, does it
-all, once per report.
+is compared with what was written, and the arm's speed with what the echo allows
+(`arm_obedience.py`). One pure function, `step_slider`, does it all, once per
+report.
 """
 
 import dataclasses as dc
@@ -11,8 +12,10 @@ import enum
 import math
 
 from tofssm_drake.errors import require
+from tofssm_drake.hardware.arm_obedience import ArmConfig, ArmState, step_arm
 from tofssm_drake.hardware.rtde_fields import (
     RobotMode,
+    RobotStatusBit,
     RuntimeState,
     SafetyMode,
     SafetyStatusBit,
@@ -80,6 +83,13 @@ class SliderConfig:
     # somebody raises it.
     operator_limit: float | None = None
 
+    # How fast the arm must follow the slider.
+    arm: ArmConfig = dc.field(default_factory=ArmConfig)
+
+    # Greatest speed of each joint, rad/s: who makes the system puts the robot
+    # model's here. These are a UR10's (Universal Robots' user manual).
+    joint_speeds: tuple[float, ...] = (2.0944, 2.0944, *4 * (3.1416,))
+
     def check(self, where: str) -> None:
         """Raises UserError with one line if a setting is out of range."""
         require(
@@ -119,6 +129,7 @@ class SliderConfig:
             f"{where}.operator_limit: must be above 0 and at most 1, "
             f"got {self.operator_limit}",
         )
+        self.arm.check(f"{where}.arm")
 
 
 class SliderPhase(enum.IntEnum):
@@ -135,7 +146,7 @@ class SliderPhase(enum.IntEnum):
     HOLDING = 4
     """The robot does not run its program: the slider stays lowest."""
     FAULT = 5
-    """The echo does not follow: 0 is written and the heartbeat stops."""
+    """Echo or arm does not follow: 0 is written, the heartbeat stops."""
     RECOVERING = 6
     """Something was wrong, or is: no more than the reduced fraction."""
 
@@ -180,6 +191,8 @@ class SliderState:
     """What was wrong last."""
     left_zero: float = -math.inf
     """When the slider was last set from 0 to more, s."""
+    arm: ArmState = dc.field(default_factory=ArmState)
+    """Whether the arm follows the slider."""
 
     def __deepcopy__(self, memo):
         return self
@@ -254,6 +267,7 @@ def step_slider(
     hold = find_hold(report)
     was_fault = state.phase == SliderPhase.FAULT
     fresh = math.isnan(state.fraction)
+    arm = _watch_arm(config, state, report, echo, hold)
 
     replaced = tuple(
         p for p in state.replaced if report.timestamp - p[2] <= _LATE
@@ -297,6 +311,7 @@ def step_slider(
         fault = obeyed < config.confirm_cycles
     else:
         fault = now > deadline or math.isnan(echo)
+    fault = fault or bool(arm.problem)
     if fault:
         target, ceiling, deadline = 0.0, config.minimum_fraction, math.inf
         healthy = 0.0
@@ -310,7 +325,7 @@ def step_slider(
         replaced = (*replaced, (state.fraction, now, report.timestamp))
     cause = hold or problem or state.cause
     if fault:
-        cause = "slider did not obey"
+        cause = "arm did not slow" if arm.problem else "slider did not obey"
     recovering = problem or (target < wanted and healthy < config.recovery_time)
     return SliderState(
         **_describe(
@@ -320,6 +335,7 @@ def step_slider(
             target=target,
             hold=hold,
             fault=fault,
+            arm_problem=arm.problem,
             astray=astray,
             confirmed=confirmed,
             operator=operator,
@@ -350,6 +366,26 @@ def step_slider(
         left_zero=report.timestamp
         if target > 0.0 == state.fraction
         else state.left_zero,
+        arm=arm,
+    )
+
+
+def _watch_arm(config, state, report, echo, hold):
+    """Returns whether the arm follows the slider."""
+    is_guided = report.robot_status_bits > 0 and bool(
+        report.robot_status_bits & RobotStatusBit.TEACH_BUTTON
+    )
+    return step_arm(
+        config.arm,
+        state.arm,
+        report,
+        allowed=max(echo, state.fraction),
+        lowest=config.minimum_fraction,
+        joint_speeds=config.joint_speeds,
+        # Without an echo nobody knows what the slider allows.
+        is_judged=not (
+            hold or is_guided or math.isnan(echo) or math.isnan(state.fraction)
+        ),
     )
 
 
@@ -429,6 +465,7 @@ def _describe(
     target,
     hold,
     fault,
+    arm_problem,
     astray,
     confirmed,
     operator,
@@ -437,10 +474,10 @@ def _describe(
     """Returns phase and reason."""
     echo = report.target_speed_fraction
     if fault:
-        reason = (
+        reason = arm_problem or (
             f"slider does not obey: at {echo:.2f}, not {state.fraction:.2f}"
         )
-        if state.phase == SliderPhase.FAULT:
+        if state.phase == SliderPhase.FAULT and not arm_problem:
             reason = state.reason
         return {"phase": SliderPhase.FAULT, "reason": reason}
     if hold:

@@ -1,0 +1,181 @@
+"""Whether the arm does what its speed slider says.
+
+The slider's echo tells where the slider is, not how fast the arm moves. So
+the measured joint speeds are compared with what the slider allows. One pure
+function, `step_arm`, does it, once per report.
+
+Nothing is judged while the robot's program does not play: then a person may
+push the arm, and a protective stop may let it sag. What the robot says of its
+own limiter (`speed_scaling`) is not used. It may only lower the speed, and
+nobody has published what it shows.
+"""
+
+import dataclasses as dc
+import math
+
+import numpy as np
+
+from tofssm_drake.errors import require
+from tofssm_drake.messages import RobotReport
+
+# A fraction that is not farther above the lowest is the lowest.
+_ZERO = 0.005
+
+
+@dc.dataclass(kw_only=True)
+class ArmConfig:
+    """How fast an arm must follow its speed slider."""
+
+    # Time that the arm may take to follow the slider, s (assumed). Until then
+    # it may still be as fast as the slider allowed before. The simulated UR
+    # takes 0.2 s over the full range, and 0.1 s are margin. How long a real
+    # one takes is not published: measure it (docs/hardware.md). The law's
+    # T_stop of 0.4 s is as long as the slider itself takes to fall: an arm
+    # that lags by more than this needs a longer T_stop as well.
+    ramp_time: float = 0.3
+
+    # A joint may be faster than the allowed fraction of its greatest speed by
+    # that part of its greatest speed (assumed: 0.01 for an echo that is
+    # rounded, the rest for what a joint swings over).
+    speed_margin: float = 0.1
+
+    # So long after the slider came to its lowest every joint must be at rest,
+    # s (assumed: the 0.5 s in which UR's own safety system wants a stop of
+    # category 1 or 2 to be over). A faulted arm must be at rest for as long
+    # before it may move again.
+    rest_time: float = 0.5
+
+    # A joint that is not faster is at rest, rad/s (assumed: five times what
+    # counts as standing still, which is above the noise of a UR at rest).
+    rest_speed: float = 0.05
+
+    # What is wrong for longer is a fault, s (assumed: a dozen reports of a
+    # CB3, too long for noise).
+    confirm_time: float = 0.1
+
+    def check(self, where: str) -> None:
+        """Raises UserError with one line if a setting is out of range."""
+        for name, least, most, unit in (
+            ("ramp_time", 0.0, 5.0, "s"),
+            ("speed_margin", 0.0, 0.5, ""),
+            ("rest_time", 0.0, 10.0, "s"),
+            ("rest_speed", 0.0, 0.5, "rad/s"),
+            ("confirm_time", 0.0, 1.0, "s"),
+        ):
+            value = getattr(self, name)
+            require(
+                least < value <= most,
+                f"{where}.{name}: must be more than {least:g} and at most "
+                f"{most:g} {unit}".rstrip()
+                + f", got {value:g}",
+            )
+        require(
+            self.ramp_time <= self.rest_time,
+            f"{where}.rest_time: must not be less than ramp_time, "
+            f"{self.ramp_time:g} s, got {self.rest_time:g}",
+        )
+
+
+@dc.dataclass(frozen=True, eq=False, kw_only=True)
+class ArmState:
+    """What is remembered of slider and arm from one report to the next."""
+
+    allowed: tuple[tuple[float, float], ...] = ()
+    """(robot's time until which it held, fraction that the slider allowed),
+    of the last `rest_time`, s; the fractions fall. Where the arm was not
+    judged the fraction is inf."""
+    wrong_since: float = math.nan
+    """Since when the arm has been too fast, s; NaN: it is not."""
+    resting_since: float = math.nan
+    """Since when all joints have been at rest, s; NaN: they are not."""
+    problem: str = ""
+    """What is wrong and has been for long enough, in one line; else empty.
+    It stays until the arm has been at rest for `rest_time`."""
+
+    def __deepcopy__(self, memo):
+        return self
+
+
+def step_arm(
+    config: ArmConfig,
+    state: ArmState,
+    report: RobotReport,
+    *,
+    allowed: float,
+    lowest: float,
+    joint_speeds: tuple[float, ...],
+    is_judged: bool,
+) -> ArmState:
+    """Takes one report and says whether the arm obeys.
+
+    Args:
+        config: Settings; checked.
+        state: After the report before, of the same session.
+        report: The newest.
+        allowed: What the slider allows: the greater of its echo and of what
+            was written last, 0 to 1.
+        lowest: Where the slider stands to stop the arm.
+        joint_speeds: Greatest speed of each joint, rad/s, (6,).
+        is_judged: The robot's program plays and nobody guides the arm.
+
+    Returns:
+        The next state; `problem` tells.
+    """
+    now = report.timestamp
+    speeds = np.abs(report.velocity)
+    fastest = np.asarray(joint_speeds)
+    allowed = allowed if is_judged else math.inf
+    history = _remember(state.allowed, now, allowed, config.rest_time)
+    fraction, limits = _calc_limits(config, history, now, lowest, fastest)
+    # A speed that is not a number is at no rest, and is too fast.
+    is_at_rest = bool((speeds <= config.rest_speed + lowest * fastest).all())
+    is_wrong = is_judged and not bool((speeds <= limits).all())
+    resting_since = _keep(state.resting_since, now) if is_at_rest else math.nan
+    wrong_since = _keep(state.wrong_since, now) if is_wrong else math.nan
+    problem = state.problem
+    if problem and now - resting_since >= config.rest_time:
+        problem = ""
+    if not problem and now - wrong_since >= config.confirm_time:
+        problem = _describe(speeds, limits, fraction * fastest)
+    return ArmState(
+        allowed=history,
+        wrong_since=wrong_since,
+        resting_since=resting_since,
+        problem=problem,
+    )
+
+
+def _keep(since, now):
+    """Returns when something began that goes on now."""
+    return now if math.isnan(since) else since
+
+
+def _remember(history, now, allowed, duration):
+    """Returns what the slider allowed of late, the newest last."""
+    kept = [h for h in history if now - h[0] <= duration]
+    # What was lower and is longer ago is not the greatest of any time.
+    while kept and kept[-1][1] <= allowed:
+        kept.pop()
+    return (*kept, (now, allowed))
+
+
+def _calc_limits(config, history, now, lowest, fastest):
+    """Returns the fraction that counts, and each joint's limit, rad/s, (6,)."""
+    fraction = next(
+        (f for t, f in history if now - t <= config.ramp_time), history[-1][1]
+    )
+    limits = fastest * (fraction + config.speed_margin)
+    # The first is the greatest of all.
+    if history[0][1] <= lowest + _ZERO:
+        limits = np.minimum(limits, config.rest_speed + lowest * fastest)
+    return fraction, limits
+
+
+def _describe(speeds, limits, allowed):
+    """Returns which joint is too fast, in one line."""
+    # The first that is no number, else the one that exceeds its limit most.
+    j = int(np.argmax(np.where(np.isnan(speeds), np.inf, speeds - limits)))
+    return (
+        f"arm does not slow: joint {j + 1} at {speeds[j]:.2f} rad/s, the "
+        f"slider allows {allowed[j]:.2f}"
+    )
