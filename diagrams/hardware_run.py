@@ -563,6 +563,8 @@ def describe_state(result: TickResult) -> dict:
         "slider_phase": int(result.slider.phase),
         "slider_reason": result.slider.reason,
         "distance": result.separation.distance.tolist(),
+        "problem": list(result.separation.problem),
+        "sample_time": result.separation.time.tolist(),
     }
 
 

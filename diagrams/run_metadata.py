@@ -51,6 +51,7 @@ def make_run_metadata(
         "human": type(scenario.human).__name__,
         "products": scenario.program.products,
         "sensors_per_ring": scenario.sensors_per_ring,
+        "dead_sensors": scenario.dead_sensors,
         "robot_bodies": robot_bodies,
         "person_parts": [capsule.name for capsule in CAPSULES],
         "ring_geometry": (

@@ -205,7 +205,8 @@ def describe_status(
 
     State, nearest ring and distance, speed fraction commanded and echoed,
     ages of the robot's report and of what the rings measured, gaps (packages
-    and frames that never came), and what else there is room for.
+    and frames that never came), sensors that are faulted or declared dead,
+    and what else there is room for.
 
     Args:
         result: Of the newest tick.
@@ -235,6 +236,7 @@ def describe_status(
         f"{ages} ms",
         gaps,
         f"{result.products_placed} placed",
+        _describe_sensors(result),
         result.slider.reason,
         "" if rings is None else rings.describe(now),
     ]
@@ -243,6 +245,18 @@ def describe_status(
         if part and len(line) + 2 + len(part) <= width:
             line += f"  {part}"
     return line[:width]
+
+
+def _describe_sensors(result):
+    """Returns what is wrong with which ring's sensors; empty: nothing is."""
+    separation = result.separation
+    return "; ".join(
+        f"{ring} {problem}"
+        for ring, problem in zip(
+            separation.name, separation.problem, strict=False
+        )
+        if problem
+    )
 
 
 def _format_age(seconds):

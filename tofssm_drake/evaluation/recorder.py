@@ -84,6 +84,7 @@ class _Scan(NamedTuple):
     time: float
     distance: np.ndarray
     reading: np.ndarray
+    fault: np.ndarray
 
 
 def _pack_scans(scans):
@@ -91,6 +92,8 @@ def _pack_scans(scans):
     shape = (len(scans), -1)
     reading = np.concatenate([scan.reading for scan in scans])
     reading = reading.astype(np.int8).reshape(shape)
+    fault = np.concatenate([scan.fault for scan in scans])
+    fault = fault.astype(np.int8).reshape(shape)
     distance = np.concatenate([scan.distance for scan in scans])
     distance = distance.astype(np.float32).reshape(shape)
     distance[reading == Reading.CLEAR] = np.inf
@@ -99,6 +102,7 @@ def _pack_scans(scans):
         "time": np.array([scan.time for scan in scans]),
         "distance": distance,
         "reading": reading,
+        "fault": fault,
     }
 
 
@@ -261,6 +265,7 @@ class MessageLog(LeafSystem):
                             time=context.get_time(),
                             distance=masked.scan.distance,
                             reading=masked.reading,
+                            fault=masked.fault,
                         )
                     )
 
@@ -468,4 +473,5 @@ class SampleRecorder(Diagram):
             "time": np.empty(0),
             "distance": np.empty((0, self._num_sensors), dtype=np.float32),
             "reading": np.empty((0, self._num_sensors), dtype=np.int8),
+            "fault": np.empty((0, self._num_sensors), dtype=np.int8),
         }

@@ -23,6 +23,10 @@ from tofssm_drake.evaluation.metrics import (
 )
 from tofssm_drake.evaluation.page import make_picture, render_page
 from tofssm_drake.evaluation.samples import Samples, write_atomically
+from tofssm_drake.evaluation.sensor_faults import (
+    calc_ages,
+    find_faulted_sensors,
+)
 from tofssm_drake.messages import RobotState
 
 _ROWS_SHOWN = 30
@@ -548,7 +552,7 @@ def make_report(
             `scenario_name`, `title`, `scenario` (text), `ssm`, `human`,
             `products`, `seed`, `sensors_per_ring`, `versions`, `command`,
             `plan`, `ring_geometry`, `robot_bodies`, `person_parts`,
-            `interrupted`, `sensing`, `audit`.
+            `interrupted`, `sensing`, `audit`, `dead_sensors`.
         summary: What `calc_summary` returned, with whatever else the run's
             `summary.json` holds (`real_time_factor`).
         recording: Where the replay is, relative to the report; instants are
@@ -570,9 +574,14 @@ def make_report(
         name=metadata.get("title", metadata.get("scenario_name", "run")),
         products=products,
         summary=summary,
-        verdict=make_verdict(
-            summary, products=products, watcher=figures.get_watcher(samples)
-        ),
+        verdict=[
+            *make_verdict(
+                summary,
+                products=products,
+                watcher=figures.get_watcher(samples),
+            ),
+            *_describe_dead_sensors(metadata.get("dead_sensors", {})),
+        ],
         sensing=metadata.get("sensing", "tof"),
         audit=make_audit_section(samples) if is_known else None,
         person_is_known=is_known,
@@ -591,6 +600,7 @@ def make_report(
         events=[_make_event_row(e, is_known) for e in events],
         contacts=[_make_contact(c, samples) for c in contacts],
         rings=_make_ring_rows(samples, summary),
+        faults=_make_fault_rows(samples),
         facts=_make_facts(samples, summary),
     )
 
@@ -703,9 +713,46 @@ def _make_ring_rows(samples, summary):
                 ),
                 "faulted": int(samples[f"{ring}_faulted"].max(initial=0)),
                 "stop": _percent(state == RobotState.STOP),
+                "age": "{} / {}".format(
+                    *(
+                        format_number(1e3 * age, 0)
+                        for age in calc_ages(samples, ring)
+                    )
+                ),
             }
         )
     return rows
+
+
+def _describe_dead_sensors(dead_sensors):
+    """Returns the verdict on sensors that the scenario declares dead."""
+    if not any(dead_sensors.values()):
+        return []
+    names = ", ".join(
+        f"{ring} {i}" for ring, sensors in dead_sensors.items() for i in sensors
+    )
+    return [
+        (
+            "note",
+            f"Sensors declared dead: {names}. The robot was never faster than "
+            "reduced for it.",
+        )
+    ]
+
+
+def _make_fault_rows(samples):
+    """What went wrong with which sensor, as the report shows it."""
+    return [
+        {
+            "ring": figures.name_link(samples, row.ring),
+            "sensor": row.sensor,
+            "cause": row.cause,
+            "scans": row.scans,
+            "longest": f"{row.longest:.2f}",
+            "first": row.first,
+        }
+        for row in find_faulted_sensors(samples)
+    ]
 
 
 def _percent(flags):

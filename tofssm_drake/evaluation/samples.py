@@ -83,7 +83,8 @@ class Samples:
         column: Arrays of equal length by name, one element per tick.
         scan: Per ring: `time` (k,), the tick at which the monitor got each
             of k scans, s; `distance` (k, n), m, inf where clear and NaN
-            where faulted; `reading` (k, n).
+            where faulted, where held as last measured; `reading` (k, n);
+            `fault` (k, n), `SensorFault`, missing in older files.
         metadata: Plain values (JSON): `rings`, `robot_bodies`,
             `person_parts`, `scenario`, `seed`, ...
     """
@@ -279,13 +280,14 @@ def _to_arrow(values):
 
 
 def _make_scan_table(samples):
-    time, ring, distance, reading = [], [], [], []
+    time, ring, distance, reading, fault = [], [], [], [], []
     for name, scan in samples.scan.items():
         k = len(scan["time"])
         time.append(scan["time"])
         ring += [name] * k
         distance += list(scan["distance"])
         reading += list(scan["reading"])
+        fault += list(scan.get("fault", np.zeros_like(scan["reading"])))
     time = np.concatenate(time) if time else np.empty(0)
     order = np.argsort(time, kind="stable")
     return pa.table(
@@ -299,6 +301,9 @@ def _make_scan_table(samples):
             ),
             "reading": pa.array(
                 [reading[i] for i in order], type=pa.list_(pa.int8())
+            ),
+            "fault": pa.array(
+                [fault[i] for i in order], type=pa.list_(pa.int8())
             ),
         }
     )
@@ -316,6 +321,8 @@ def _split_scan_table(table, rings):
             "distance": _to_matrix(part["distance"], np.float32),
             "reading": _to_matrix(part["reading"], np.int8),
         }
+        if "fault" in part.column_names:
+            result[name]["fault"] = _to_matrix(part["fault"], np.int8)
     return result
 
 

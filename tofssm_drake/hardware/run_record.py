@@ -150,6 +150,12 @@ def make_monitor_message(tick: RecordedTick) -> dict:
             for ring, d in zip(RINGS, state["distance"], strict=True)
             if math.isfinite(d)
         },
+        "problem": dict(zip(RINGS, state["problem"], strict=True)),
+        "sample_age": {
+            ring: tick.time - t
+            for ring, t in zip(RINGS, state["sample_time"], strict=True)
+            if math.isfinite(t)
+        },
         "speed_fraction": state["speed_fraction"],
         "slider_commanded": tick.command.speed_fraction,
         "slider_phase": state["slider_phase"],

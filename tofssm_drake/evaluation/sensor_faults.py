@@ -1,0 +1,81 @@
+"""Which sensors failed in a run, why, and for how long."""
+
+import dataclasses as dc
+
+import numpy as np
+
+from tofssm_drake.evaluation.samples import Samples
+from tofssm_drake.messages import FAULT_NAMES, SensorFault
+
+
+@dc.dataclass(frozen=True, kw_only=True)
+class FaultedSensor:
+    """What one sensor of a ring had of one cause."""
+
+    ring: str
+    sensor: int
+    cause: str
+    """In the words of `FAULT_NAMES`."""
+    scans: int
+    """In how many scans."""
+    longest: float
+    """The longest time from the first to the last of them in a row, s."""
+    first: float
+    """When it was first told, s."""
+
+
+def find_faulted_sensors(samples: Samples) -> list[FaultedSensor]:
+    """Returns what went wrong with each sensor, ring by ring.
+
+    A single lost sample counts too: its longest time is 0 s.
+    """
+    found = []
+    for ring, scan in samples.scan.items():
+        fault = scan.get("fault")
+        if fault is None:
+            continue
+        for sensor, cause in zip(*_find_pairs(fault), strict=True):
+            is_faulted = fault[:, sensor] == cause
+            starts, ends = _find_stretches(is_faulted)
+            time = scan["time"]
+            found.append(
+                FaultedSensor(
+                    ring=ring,
+                    sensor=int(sensor),
+                    cause=FAULT_NAMES[SensorFault(cause)],
+                    scans=int(is_faulted.sum()),
+                    longest=float((time[ends] - time[starts]).max()),
+                    first=float(time[starts[0]]),
+                )
+            )
+    return found
+
+
+def _find_pairs(fault):
+    """Returns sensors and causes that occur, (k,) each, in order."""
+    pairs = [
+        (sensor, cause)
+        for sensor in range(fault.shape[1])
+        for cause in np.unique(fault[:, sensor])
+        if cause != SensorFault.NONE
+    ]
+    return tuple(zip(*pairs, strict=True)) or ((), ())
+
+
+def _find_stretches(flags):
+    """Returns the first and last index of each stretch of true ones."""
+    edges = np.diff(np.concatenate([[0], flags.astype(int), [0]]))
+    return np.flatnonzero(edges == 1), np.flatnonzero(edges == -1) - 1
+
+
+def calc_ages(samples: Samples, ring: str) -> tuple[float, float]:
+    """Returns how old a ring's measurement was, median and greatest, s.
+
+    The age at each tick of the sample that the law worked on; NaN if there
+    was none.
+    """
+    age = samples["t"] - samples[f"{ring}_sample_time"]
+    age = age[np.isfinite(age)]
+    if not len(age):
+        return np.nan, np.nan
+    return float(np.median(age)), float(age.max())
