@@ -507,13 +507,14 @@ class TestReadMesh(unittest.TestCase):
         null = json.dumps(json.loads(dots) | {"buffers": None})
         circle = json.loads(dots) | {"nodes": [{"children": [0]}]}
         for shape, message in (
-            (Mesh("/nowhere/none.obj"), "none.obj' can not be read"),
-            (Mesh("/nowhere/none.gltf"), "none.gltf' can not be read"),
-            (Mesh("/nowhere/none.vtk"), "none.vtk' can not be read"),
-            (Mesh("/nowhere/a.stl"), "'.stl' is not one of .obj, .gltf, .vtk"),
-            (make_mesh("v 0 0 0"), "can not be read"),
-            (make_mesh("{", ".gltf"), "can not be read"),
-            (make_mesh(good, ".gltf"), "can not be read: its buffer 'x' is"),
+            (Mesh("/nowhere/none.obj"), "none.obj' cannot be read"),
+            (Mesh("/nowhere/none.gltf"), "none.gltf' cannot be read"),
+            (Mesh("/nowhere/none.vtk"), "none.vtk' cannot be read"),
+            (Mesh("/nowhere/none.stl"), "none.stl' cannot be read"),
+            (Mesh("/nowhere/a.ply"), "'.ply' is not one of .obj, .gltf, .stl"),
+            (make_mesh("v 0 0 0"), "cannot be read"),
+            (make_mesh("{", ".gltf"), "cannot be read"),
+            (make_mesh(good, ".gltf"), "cannot be read: its buffer 'x' is"),
             (make_mesh(dots, ".gltf"), "no triangle"),
             (make_mesh(needs, ".gltf"), "needs the extensions KHR_draco"),
             (make_mesh("[]", ".gltf"), "memory.*not as its format demands"),
@@ -670,9 +671,9 @@ class TestReadMesh(unittest.TestCase):
                 supporting_files={"a.bin": Path(folder) / "a.bin"},
             )
             for shape, message in (
-                (Mesh(path), r"horn\.gltf' can not be read: .*a\.bin"),
+                (Mesh(path), r"horn\.gltf' cannot be read: .*a\.bin"),
                 (Mesh(nameless), r"nameless\.gltf' .*: a buffer has no uri"),
-                (Mesh(memory), r"memory' can not be read: .*a\.bin"),
+                (Mesh(memory), r"memory' cannot be read: .*a\.bin"),
             ):
                 scene = oracle.Scene()
                 scene.add(shape, name="horn")

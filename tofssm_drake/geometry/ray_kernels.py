@@ -18,11 +18,13 @@ hit already, by the least distance at which that box can be met.
 import numpy as np
 
 from tofssm_drake.geometry.mesh_kernels import (
+    ON,
     STACK,
     cast_convex,
     cast_mesh,
     is_in_mesh,
     is_inside_convex,
+    leave_convex,
 )
 from tofssm_drake.geometry.shape_kernels import (
     BOX,
@@ -40,6 +42,7 @@ from tofssm_drake.geometry.shape_kernels import (
     cast_sphere,
     find_normal,
     is_in_primitive,
+    leave_primitive,
 )
 from tofssm_drake.kernels import njit
 
@@ -328,7 +331,7 @@ def _sort(order, key, n):
             order[j] = this
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", nogil=True)
 def cast_bundles(
     X_WF, scene, bundles, active, which, fan, cones, distance, index
 ):
@@ -471,7 +474,7 @@ def cast_bundles(
                             part = int(shapes[child, DATA])
                             parts = int(shapes[child, DATA + 1])
                             inside = (
-                                is_inside_convex(planes, part, parts, p_G)
+                                is_inside_convex(planes, part, parts, p_G, 0.0)
                                 if kind == CONVEX
                                 else is_in_mesh(
                                     nodes,
@@ -677,16 +680,73 @@ def _rotate(X_WG, s, axis, x, y, z, ex, ey, ez):
 
 
 @njit(cache=True, error_model="numpy")
-def cast_rays(X_WF, scene, active, p_WR, n_WR, reach):
+def _leave_shape(shapes, planes, s, p, dx, dy, dz, far):
+    """Returns where a ray that starts inside of shape s gets out.
+
+    0 if it starts on the surface, give or take rounding. Not for meshes,
+    whose triangles are seen from both sides.
+    """
+    kind = int(shapes[s, KIND])
+    a, b, c = shapes[s, SIZE], shapes[s, SIZE + 1], shapes[s, SIZE + 2]
+    part, parts = int(shapes[s, DATA]), int(shapes[s, DATA + 1])
+    within = ON * max(far, max(a, max(b, c)))
+    if kind == CONVEX:
+        if is_inside_convex(planes, part, parts, p, within):
+            return leave_convex(planes, part, parts, p, dx, dy, dz)[0]
+        return 0.0
+    if kind == HALF_SPACE:
+        is_deep = p[2] <= -within
+    else:
+        is_deep = is_in_primitive(
+            kind, p[0], p[1], p[2], a - within, b - within, c - within
+        )
+    if not is_deep:
+        return 0.0
+    return leave_primitive(kind, p[0], p[1], p[2], dx, dy, dz, a, b, c)
+
+
+@njit(cache=True, error_model="numpy", forceinline=True)
+def _is_in_shape(shapes, planes, nodes, triangles, s, p, far, hollow, stack):
+    """Returns whether a point in G is in shape s or on its surface.
+
+    Args:
+        shapes: See the module.
+        planes: See the module.
+        nodes: See the module.
+        triangles: See the module.
+        s: The shape.
+        p: The point, shape (3,).
+        far: Its largest coordinate in the world.
+        hollow: Whether meshes have no inside.
+        stack: Scratch space, shape (2, STACK).
+    """
+    x, y, z = p[0], p[1], p[2]
+    if not _is_in_box(shapes, s, x, y, z):
+        return False
+    kind = int(shapes[s, KIND])
+    part, parts = int(shapes[s, DATA]), int(shapes[s, DATA + 1])
+    if kind == CONVEX:
+        return is_inside_convex(planes, part, parts, p, 0.0)
+    if kind == MESH:
+        solid = -1 if hollow else parts
+        return is_in_mesh(nodes, triangles, part, solid, p, far, stack)
+    a, b, c = shapes[s, SIZE], shapes[s, SIZE + 1], shapes[s, SIZE + 2]
+    return is_in_primitive(kind, x, y, z, a, b, c)
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def cast_rays(X_WF, scene, active, row, p_WR, n_WR, max_range, hollow):
     """Casts rays, each with its own origin; see RayCaster.cast.
 
     Args:
         X_WF: See the module.
         scene: See the module.
-        active: Whether shape s is cast against, bool, shape (n,).
+        active: Whether shape s is cast against, bool, shape (groups, n).
+        row: Which row of `active` is a ray's, int64, shape (rays,).
         p_WR: Origins, shape (rays, 3).
         n_WR: Directions, shape (rays, 3), unit vectors to 1e-6.
-        reach: Range of all rays.
+        max_range: Range of each ray, shape (rays,).
+        hollow: Whether shapes have no inside.
 
     Returns:
         (status, distance (rays,), index (rays,)).
@@ -706,7 +766,6 @@ def cast_rays(X_WF, scene, active, p_WR, n_WR, reach):
     is_posed = np.zeros(n, dtype=np.bool_)
     p = np.empty(3)
     stack = np.empty((2, STACK))
-    limit = np.nextafter(reach, np.inf)
     for i in range(rays):
         ox, oy, oz = p_WR[i, 0], p_WR[i, 1], p_WR[i, 2]
         ex, ey, ez = n_WR[i, 0], n_WR[i, 1], n_WR[i, 2]
@@ -717,6 +776,7 @@ def cast_rays(X_WF, scene, active, p_WR, n_WR, reach):
             return BAD_RAY, distance, index
         ex, ey, ez = ex / length, ey / length, ez / length
         far = max(abs(ox), max(abs(oy), abs(oz)))
+        reach = max_range[i]
         for b in range(num_balls):
             flags[b] = _may_hit_ball(
                 posed[0, b] - ox,
@@ -728,7 +788,8 @@ def cast_rays(X_WF, scene, active, p_WR, n_WR, reach):
                 ez,
                 reach,
             )
-        best = limit
+        # A hit at exactly the range counts, hence the next number.
+        best = np.nextafter(reach, np.inf)
         hit = -1
         for w in range(words.shape[0]):
             if words[w] == 0:
@@ -759,13 +820,11 @@ def cast_rays(X_WF, scene, active, p_WR, n_WR, reach):
                                 pending[top] = c
                                 top += 1
                         continue
-                    if not active[s]:
+                    if not active[row[i], s]:
                         continue
                     if not is_posed[s]:
                         _compose(X_WF, int(shapes[s, FRAME]), shapes, s, X)
-                        for row in range(3):
-                            for column in range(4):
-                                X_WG[s, row, column] = X[row, column]
+                        X_WG[s] = X
                         is_posed[s] = True
                     x = ox - X_WG[s, 0, 3]
                     y = oy - X_WG[s, 1, 3]
@@ -801,7 +860,7 @@ def cast_rays(X_WF, scene, active, p_WR, n_WR, reach):
                     elif kind == CONVEX:
                         p[0], p[1], p[2] = px, py, pz
                         if may_be_inside and is_inside_convex(
-                            planes, part, parts, p
+                            planes, part, parts, p, 0.0
                         ):
                             t = 0.0
                         else:
@@ -810,8 +869,9 @@ def cast_rays(X_WF, scene, active, p_WR, n_WR, reach):
                             )
                     else:
                         p[0], p[1], p[2] = px, py, pz
+                        solid = -1 if hollow else parts
                         if may_be_inside and is_in_mesh(
-                            nodes, triangles, part, parts, p, far, stack
+                            nodes, triangles, part, solid, p, far, stack
                         ):
                             t = 0.0
                         else:
@@ -827,6 +887,9 @@ def cast_rays(X_WF, scene, active, p_WR, n_WR, reach):
                                 np.nextafter(best, np.inf),
                                 stack,
                             )
+                    if hollow and t == 0.0 and kind != MESH:
+                        p[0], p[1], p[2] = px, py, pz
+                        t = _leave_shape(shapes, planes, s, p, dx, dy, dz, far)
                     if t < best or (t == best and s < hit):
                         best = t
                         hit = s
@@ -851,7 +914,7 @@ def _find_triangle_normal(triangles, i, dx, dy, dz):
     return x, y, z
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", nogil=True)
 def calc_normals(X_WF, scene, p_WR, n_WR, distance, index):
     """Returns the surface normals at hits; see RayCaster.calc_normals.
 
@@ -882,34 +945,59 @@ def calc_normals(X_WF, scene, p_WR, n_WR, distance, index):
         dx = X[0, 0] * n_WR[i, 0] + X[1, 0] * n_WR[i, 1] + X[2, 0] * n_WR[i, 2]
         dy = X[0, 1] * n_WR[i, 0] + X[1, 1] * n_WR[i, 1] + X[2, 1] * n_WR[i, 2]
         dz = X[0, 2] * n_WR[i, 0] + X[1, 2] * n_WR[i, 1] + X[2, 2] * n_WR[i, 2]
-        kind = int(shapes[s, KIND])
-        first, last = int(shapes[s, DATA]), int(shapes[s, DATA + 1])
-        if kind == CONVEX:
-            _, part = cast_convex(planes, first, last, p, dx, dy, dz)
-            if part < 0:
-                continue
-            x, y, z = planes[part, 0], planes[part, 1], planes[part, 2]
-        elif kind == MESH:
-            _, part = cast_mesh(
-                nodes, triangles, first, p, dx, dy, dz, np.inf, stack
-            )
-            if part < 0:
-                continue
-            x, y, z = _find_triangle_normal(triangles, part, dx, dy, dz)
-        else:
-            x, y, z = find_normal(
-                kind,
-                shapes[s, SIZE],
-                shapes[s, SIZE + 1],
-                shapes[s, SIZE + 2],
-                p[0] + t * dx,
-                p[1] + t * dy,
-                p[2] + t * dz,
-                dx,
-                dy,
-                dz,
-            )
+        x, y, z = _find_hit_normal(
+            shapes, planes, nodes, triangles, s, p, dx, dy, dz, t, stack
+        )
         length = np.sqrt(x * x + y * y + z * z)
         for j in range(3):
             normals[i, j] = (X[j, 0] * x + X[j, 1] * y + X[j, 2] * z) / length
     return normals
+
+
+@njit(cache=True, error_model="numpy", forceinline=True)
+def _find_hit_normal(
+    shapes, planes, nodes, triangles, s, p, dx, dy, dz, t, stack
+):
+    """Returns the direction of a shape's normal, in G, that faces a ray.
+
+    NaN if there is no hit. A ray that starts inside of a shape but for
+    meshes, and hits it farther on, comes out of it there.
+    """
+    kind = int(shapes[s, KIND])
+    part, parts = int(shapes[s, DATA]), int(shapes[s, DATA + 1])
+    if kind == MESH:
+        _, found = cast_mesh(
+            nodes, triangles, part, p, dx, dy, dz, np.inf, stack
+        )
+        if found < 0:
+            return np.nan, np.nan, np.nan
+        return _find_triangle_normal(triangles, found, dx, dy, dz)
+    side = (
+        -1.0
+        if _is_in_shape(
+            shapes, planes, nodes, triangles, s, p, 0.0, True, stack
+        )
+        else 1.0
+    )
+    if kind == CONVEX:
+        if side < 0.0:
+            _, found = leave_convex(planes, part, parts, p, dx, dy, dz)
+        else:
+            _, found = cast_convex(planes, part, parts, p, dx, dy, dz)
+        if found < 0:
+            return np.nan, np.nan, np.nan
+        x, y, z = planes[found, 0], planes[found, 1], planes[found, 2]
+    else:
+        x, y, z = find_normal(
+            kind,
+            shapes[s, SIZE],
+            shapes[s, SIZE + 1],
+            shapes[s, SIZE + 2],
+            p[0] + t * dx,
+            p[1] + t * dy,
+            p[2] + t * dz,
+            side * dx,
+            side * dy,
+            side * dz,
+        )
+    return side * x, side * y, side * z
