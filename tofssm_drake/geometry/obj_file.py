@@ -6,7 +6,6 @@ trimesh cuts a face that is not convex outside of it, and counts relative
 indices from the end of the file. So it is read here.
 """
 
-import itertools
 import math
 import re
 
@@ -14,10 +13,15 @@ import numpy as np
 
 from tofssm_drake.geometry.polygons import cut_polygons
 
-_NUMBER = re.compile(rb"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?")
-# Only these are in numbers; what numpy reads beside them is none.
-_NUMBERS = re.compile(rb"[-+.0-9eE\s]*")
-_INTEGERS = re.compile(rb"[-+0-9\s]*")
+_NUMBER = rb"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?"
+_INTEGER = rb"[+-]?[0-9]{1,18}"
+# Rows of three; without a way back, or long texts would take long.
+_THREE_NUMBERS = re.compile(
+    rb"(?>[ \t]*+(?:" + _NUMBER + rb"[ \t]++){2}" + _NUMBER + rb"[ \t]*+\n)*+"
+)
+_THREE_INTEGERS = re.compile(
+    rb"(?>[ \t]*+(?:" + _INTEGER + rb"[ \t]++){2}" + _INTEGER + rb"[ \t]*+\n)*+"
+)
 
 
 def read_obj(contents: bytes) -> tuple[np.ndarray, np.ndarray]:
@@ -31,9 +35,9 @@ def read_obj(contents: bytes) -> tuple[np.ndarray, np.ndarray]:
         ValueError: If a vertex is not three finite numbers, or a face's
             corner is not a vertex; tells the line.
     """
-    lines = _split_lines(contents)
-    vertices = _read_vertices(lines)
-    corners, counts = _read_faces(lines, len(vertices))
+    contents = _clean(contents)
+    vertices = _read_vertices(contents)
+    corners, counts = _read_faces(contents, len(vertices))
     return vertices, cut_polygons(vertices, corners, counts)
 
 
@@ -43,41 +47,51 @@ def read_obj_vertices(contents: bytes) -> np.ndarray:
     Raises:
         ValueError: If one is not three finite numbers; tells the line.
     """
-    return _read_vertices(_split_lines(contents))
+    return _read_vertices(_clean(contents))
 
 
-def _split_lines(contents: bytes) -> list[list[bytes]]:
-    """Returns the fields of all lines, without comments."""
-    lines = contents.splitlines()
+def _clean(contents: bytes) -> bytes:
+    """Returns the text without comments, its lines ended by newlines."""
+    if b"\r" in contents:
+        contents = contents.replace(b"\r\n", b"\n").replace(b"\r", b"\n")
     if b"#" in contents:
-        lines = [line.partition(b"#")[0] for line in lines]
-    return [line.split() for line in lines]
+        contents = re.sub(rb"#.*", b"", contents)
+    return contents
 
 
-def _read_vertices(lines: list[list[bytes]]) -> np.ndarray:
-    rows = [fields for fields in lines if fields and fields[0] == b"v"]
+def _find_rows(contents: bytes, kind: bytes) -> list[bytes]:
+    """Returns what follows in the lines of a kind."""
+    return re.findall(
+        rb"^[ \t]*+" + kind + rb"(?![^ \t\n])(.*)$", contents, re.M
+    )
+
+
+def _read_vertices(contents: bytes) -> np.ndarray:
+    rows = _find_rows(contents, b"v")
     if not rows:
         return np.empty((0, 3))
-    if min(map(len, rows)) > 3:
-        text = b" ".join(itertools.chain.from_iterable(r[1:4] for r in rows))
-        # Beyond the third, colours and weights are numbers, too.
-        rest = b" ".join(itertools.chain.from_iterable(r[4:] for r in rows))
-        if _NUMBERS.fullmatch(text) and _NUMBERS.fullmatch(rest):
-            try:
-                numbers = np.array(text.split(), dtype=bytes).astype(float)
-            except ValueError:
-                numbers = np.array([np.nan])
-            if np.isfinite(numbers).all():
-                return numbers.reshape(-1, 3)
-    _raise_bad_vertex(lines)
+    text = b"\n".join(rows) + b"\n"
+    if not _THREE_NUMBERS.fullmatch(text):
+        # Perhaps colours or weights come behind.
+        fields = [row.split() for row in rows]
+        if not all(
+            len(row) > 2 and all(map(_is_number, row)) for row in fields
+        ):
+            _raise_bad_vertex(contents)
+        text = b" ".join(field for row in fields for field in row[:3])
+    numbers = np.fromstring(text, dtype=float, sep=" ")
+    if not np.isfinite(numbers).all():
+        _raise_bad_vertex(contents)
+    return numbers.reshape(-1, 3)
 
 
-def _raise_bad_vertex(lines: list[list[bytes]]):
-    for number, fields in enumerate(lines, start=1):
+def _raise_bad_vertex(contents: bytes):
+    for number, line in enumerate(contents.split(b"\n"), start=1):
+        fields = line.split()
         if fields[:1] != [b"v"]:
             continue
         if len(fields) < 4 or not all(map(_is_number, fields[1:])):
-            text = b" ".join(fields).decode(errors="replace")
+            text = line.decode(errors="replace").strip()
             raise ValueError(
                 f"line {number}: '{text}' is not a vertex of three finite"
                 " numbers"
@@ -86,55 +100,62 @@ def _raise_bad_vertex(lines: list[list[bytes]]):
 
 
 def _is_number(field: bytes) -> bool:
-    return bool(_NUMBER.fullmatch(field)) and math.isfinite(float(field))
+    return bool(re.fullmatch(_NUMBER, field)) and math.isfinite(float(field))
 
 
 def _read_faces(
-    lines: list[list[bytes]], num_vertices: int
+    contents: bytes, num_vertices: int
 ) -> tuple[np.ndarray, np.ndarray]:
     """Returns the corners of all faces, and how many each face has."""
-    rows = [fields for fields in lines if fields and fields[0] == b"f"]
-    counts = np.array(list(map(len, rows)), dtype=np.int64) - 1
-    if len(rows) == 0:
-        return np.empty(0, dtype=np.int64), counts
-    text = b" ".join(itertools.chain.from_iterable(row[1:] for row in rows))
+    rows = _find_rows(contents, b"f")
+    if not rows:
+        return np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64)
+    text = b"\n".join(rows) + b"\n"
     if b"/" in text:
-        text = re.sub(rb"/\S*", b"", text)
-    fields = text.split()
-    bad = counts.min() < 3 or len(fields) != counts.sum()
-    if bad or not _INTEGERS.fullmatch(text):
-        _raise_bad_face(lines, num_vertices)
-    try:
-        corners = np.array(fields, dtype=bytes).astype(np.int64)
-    except (ValueError, OverflowError):
-        _raise_bad_face(lines, num_vertices)
-    is_relative = corners < 0
-    if is_relative.any():
-        is_vertex = [fields[:1] == [b"v"] for fields in lines]
-        is_face = [fields[:1] == [b"f"] for fields in lines]
-        so_far = np.cumsum(is_vertex)[np.flatnonzero(is_face)]
-        corners = corners + is_relative * (np.repeat(so_far, counts) + 1)
+        # Only the first number of each corner is the vertex.
+        text = re.sub(rb"(?<=[0-9])/[^ \t\n]*+", b"", text)
+    if _THREE_INTEGERS.fullmatch(text):
+        counts = np.full(len(rows), 3)
+    else:
+        counts = np.array([len(row.split()) for row in rows])
+        good = re.fullmatch(rb"(?:" + _INTEGER + rb"\s++)*+", text.lstrip())
+        if not good or counts.min() < 3:
+            _raise_bad_face(contents, num_vertices)
+    corners = np.fromstring(text, dtype=np.int64, sep=" ")
+    if corners.min() < 0:
+        corners = _resolve_relative(contents, corners, counts)
     corners -= 1
     if corners.min() < 0 or corners.max() >= num_vertices:
-        _raise_bad_face(lines, num_vertices)
+        _raise_bad_face(contents, num_vertices)
     return corners, counts
 
 
-def _raise_bad_face(lines: list[list[bytes]], num_vertices: int):
+def _resolve_relative(contents, corners, counts) -> np.ndarray:
+    """Returns indices from 1 on where some count back from their line."""
+    kinds = re.findall(rb"^[ \t]*+([vf])(?![^ \t\n])", contents, re.M)
+    kinds = np.array(kinds)
+    so_far = np.cumsum(kinds == b"v")[kinds == b"f"]
+    return np.where(
+        corners < 0, corners + np.repeat(so_far, counts) + 1, corners
+    )
+
+
+def _raise_bad_face(contents: bytes, num_vertices: int):
     so_far = 0
-    for number, fields in enumerate(lines, start=1):
+    for number, line in enumerate(contents.split(b"\n"), start=1):
+        fields = line.split()
         so_far += fields[:1] == [b"v"]
         if fields[:1] != [b"f"]:
             continue
         corners = [field.partition(b"/")[0] for field in fields[1:]]
         good = len(corners) > 2 and all(
-            re.fullmatch(rb"[-+]?[0-9]{1,18}", corner)
+            re.fullmatch(_INTEGER, corner)
             and -so_far <= int(corner) <= num_vertices
             and int(corner) != 0
             for corner in corners
         )
         if not good:
-            text = b" ".join(fields).decode(errors="replace")
+            text = line.decode(errors="replace").strip()
             raise ValueError(
                 f"line {number}: '{text}' is not a face of at least three of"
                 f" the {num_vertices} vertices"
