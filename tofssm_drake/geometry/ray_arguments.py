@@ -77,6 +77,8 @@ def make_unit_vectors(where: str, vectors: np.ndarray) -> np.ndarray:
 
 def make_ranges(where: str, ranges, count: int) -> np.ndarray:
     """Returns a copy: one number >= 0 for each of `count`, shape (count,)."""
+    if type(ranges) is float and ranges >= 0.0:
+        return np.full(count, ranges)
     ranges = copy_numbers(where, ranges)
     if ranges.shape not in ((), (count,)):
         raise ValueError(

@@ -32,6 +32,7 @@ from tofssm_drake.geometry.ray_arguments import (
 from tofssm_drake.geometry.ray_bundles import RayBundles, pack_bundles
 from tofssm_drake.geometry.scene_shapes import describe_geometry, read_shapes
 
+_IDENTITY = np.eye(3, 4)
 _BAD_POSE = (
     "X_WF: a pose is not finite or no rotation, or is not nearer than"
     f" {ray_kernels.FAR:g} m"
@@ -194,15 +195,13 @@ class RayCaster:
             # Perhaps a change beside these geometries: look closer.
             self.check_geometry(inspector)
             self._remember_version(inspector)
-        X_WF = np.empty((len(self._frame_ids), 3, 4))
+        if not self._frame_ids:
+            return np.empty((0, 3, 4))
+        poses = map(query_object.GetPoseInWorld, self._moving_ids)
+        matrices = list(map(RigidTransform.GetAsMatrix34, poses))
         if self._world_row is not None:
-            X_WF[self._world_row] = np.eye(3, 4)
-        if self._moving_ids:
-            poses = map(query_object.GetPoseInWorld, self._moving_ids)
-            X_WF[self._moving_rows] = np.concatenate(
-                list(map(RigidTransform.GetAsMatrix34, poses))
-            ).reshape(-1, 3, 4)
-        return X_WF
+            matrices.insert(self._world_row, _IDENTITY)
+        return np.concatenate(matrices).reshape(-1, 3, 4)
 
     def check_geometry(self, inspector: SceneGraphInspector) -> None:
         """Compares the geometry with what was read at construction.
@@ -639,7 +638,6 @@ class RayCaster:
         """Sorts out the frames whose poses Drake must be asked for."""
         world = self._world_frame_id
         self._moving_ids = [f for f in self._frame_ids if f != world]
-        self._moving_rows = [self._frame_row[f] for f in self._moving_ids]
         self._world_row = self._frame_row.get(world)
 
     def _find_frame(self, frame_id: FrameId) -> int:
