@@ -35,7 +35,7 @@ _GROWTHS = (
         "Rays",
         "Sensors strewn over a room with 64 moving shapes. More sensors cost"
         " what they add, more rays in the same cones less, since what a cone"
-        " can not see is ruled out once for all of them. Rays with an origin"
+        " cannot see is ruled out once for all of them. Rays with an origin"
         " of their own (`cast`) have nothing to share.",
         measure_rays,
     ),

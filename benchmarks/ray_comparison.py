@@ -67,7 +67,7 @@ PEERS = (
 HOLD = {
     False: {
         FastPath.name: {"PyBullet": 30.0, "MuJoCo": 10.0},
-        QueryObjectPath.name: {"PyBullet": 12.0, "MuJoCo": 4.0},
+        QueryObjectPath.name: {"PyBullet": 4.0, "MuJoCo": 1.3},
     },
     True: {FastPath.name: {"PyBullet": 4.0, "MuJoCo": 4.0}},
 }
@@ -99,7 +99,7 @@ def compare(scene: Scene, *, meshes: bool, rounds: int = 4) -> list[Row]:
 
     Args:
         scene: The scene.
-        meshes: Whether it has meshes, which the NumPy one can not cast.
+        meshes: Whether it has meshes, which the NumPy one cannot cast.
         rounds: How often all states are gone through.
     """
     missing = find_missing_peers()

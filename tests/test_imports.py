@@ -123,13 +123,10 @@ class TestImports(unittest.TestCase):
         known = {
             *("pydrake", "jinja2", "matplotlib", "numba", "numpy"),
             *("pyarrow", "rich", "ruckig", "serial", "typer", "yaml"),
-            *("dask", "distributed", "mcap", "tofssm_drake"),
+            *("collada", "dask", "distributed", "mcap", "tofssm_drake"),
+            "trimesh",
         }
-        extras = {
-            "tofssm_drake.robot.meshes": {
-                *("collada", "example_robot_data", "trimesh")
-            }
-        }
+        extras = {"tofssm_drake.robot.meshes": {"example_robot_data"}}
         for module, names in self.imports.items():
             tops = {name.partition(".")[0] for name in names}
             with self.subTest(module=module):

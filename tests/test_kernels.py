@@ -9,8 +9,10 @@ import subprocess
 import sys
 import tempfile
 import unittest
+from unittest import mock
 
-from numba.core.dispatcher import Dispatcher
+import numba
+from numba.extending import is_jitted
 
 import tofssm_drake.kernels as mut
 
@@ -47,15 +49,18 @@ class TestCache(unittest.TestCase):
             shutil.copy(PACKAGE / name, self.package)
         (self.package / "caller.py").write_text(CALLER)
 
-    def run_program(self):
+    def run_program(self, **settings):
         """Returns the walk from 0, and how often the cache was of use."""
+        environment = {
+            name: value
+            for name, value in os.environ.items()
+            if name != "NUMBA_CACHE_DIR"
+        }
         result = subprocess.run(
             [sys.executable, "-c", PROGRAM],
-            env=os.environ
-            | {
-                "PYTHONPATH": str(self.package.parent),
-                "NUMBA_CACHE_DIR": str(self.package.parent / "cache"),
-            },
+            env=environment
+            | {"PYTHONPATH": str(self.package.parent)}
+            | settings,
             cwd=self.package.parent,
             capture_output=True,
             text=True,
@@ -76,6 +81,31 @@ class TestCache(unittest.TestCase):
         callee.write_text(CALLEE.replace("1.0", "3.0"))
         os.utime(callee, (0, 0))
         self.assertEqual(self.run_program(), (6.0, 0))
+        # The older state is gone.
+        folders = list((self.package / "__pycache__").glob("kernels-*"))
+        self.assertEqual(len(folders), 1)
+
+    def test_folder_of_the_users_choice(self):
+        (self.package / "callee.py").write_text(CALLEE)
+        folder = self.package.parent / "cache"
+        setting = {"NUMBA_CACHE_DIR": str(folder)}
+        self.assertEqual(self.run_program(**setting), (2.0, 0))
+        self.assertEqual(self.run_program(**setting), (2.0, 1))
+        self.assertEqual(len(list(folder.glob("kernels-*/**/*.nbi"))), 2)
+        self.assertFalse(list((self.package / "__pycache__").glob("kernels-*")))
+
+    def test_package_that_cannot_be_written(self):
+        with mock.patch.object(mut.os, "access", return_value=False):
+            mut.find_cache_folder.cache_clear()
+            self.addCleanup(mut.find_cache_folder.cache_clear)
+            with mock.patch.object(mut.numba.config, "CACHE_DIR", ""):
+                folder = mut.find_cache_folder(self.package)
+        self.assertTrue(folder.is_relative_to(Path.home() / ".cache"))
+
+    def test_kernels_of_others_are_kept_where_they_were(self):
+        before = numba.config.CACHE_DIR
+        mut.njit(cache=True)(lambda x: x)
+        self.assertEqual(numba.config.CACHE_DIR, before)
 
 
 class TestKernelsOfThePackage(unittest.TestCase):
@@ -92,20 +122,20 @@ class TestKernelsOfThePackage(unittest.TestCase):
             cls.kernels[module] = [
                 value
                 for value in vars(module).values()
-                if isinstance(value, Dispatcher)
+                if is_jitted(value)
                 and value.py_func.__module__ == module.__name__
             ]
 
-    def test_each_has_the_stamp_of_all(self):
-        stamp = mut.calc_stamp(PACKAGE)
+    def test_each_is_kept_in_the_folder_of_this_state(self):
+        folder = mut.find_cache_folder(PACKAGE)
+        self.assertTrue(folder.name.endswith(mut.calc_stamp(PACKAGE)[:16]))
         self.assertGreater(len(self.kernels), 15)
         for module, kernels in self.kernels.items():
             self.assertTrue(kernels, module.__name__)
             for kernel in kernels:
                 with self.subTest(kernel=kernel):
-                    self.assertEqual(
-                        kernel._cache._cache_file._source_stamp, stamp
-                    )
+                    path = Path(kernel.stats.cache_path)
+                    self.assertTrue(path.is_relative_to(folder), path)
 
     def test_they_take_nothing_from_files_without_kernels(self):
         """Such a constant is compiled in, but is not part of the stamp."""

@@ -1,17 +1,21 @@
 """Numba's `njit`, with a cache that knows which kernel calls which.
 
 Numba compiles a kernel's callees into it, but takes its compiled form from
-the cache until the kernel's own file changes. Here all of them are compiled
-anew if any file with a kernel does.
+the cache until the kernel's own file changes. Here the cache has a folder for
+each state of the files with kernels: if any of them changes, all kernels are
+compiled anew.
 """
 
 import functools
 import hashlib
+import os
 from pathlib import Path
+import shutil
 
 import numba
 
 _PACKAGE = Path(__file__).parent
+_PREFIX = "kernels-"
 
 
 def njit(**options):
@@ -23,14 +27,38 @@ def njit(**options):
     """
 
     def decorate(function):
-        kernel = numba.njit(**options)(function)
-        if options.get("cache") and not numba.config.DISABLE_JIT:
-            # Numba compares this with what an index in its cache holds. Its
-            # own stamp is age and size of the one file.
-            kernel._cache._cache_file._source_stamp = calc_stamp(_PACKAGE)
-        return kernel
+        if not options.get("cache") or numba.config.DISABLE_JIT:
+            return numba.njit(**options)(function)
+        # Numba takes this setting when a kernel is declared. Kernels of other
+        # packages keep what it was.
+        before = numba.config.CACHE_DIR
+        numba.config.CACHE_DIR = str(find_cache_folder(_PACKAGE))
+        try:
+            return numba.njit(**options)(function)
+        finally:
+            numba.config.CACHE_DIR = before
 
     return decorate
+
+
+@functools.cache
+def find_cache_folder(package: Path) -> Path:
+    """Returns where the kernels of a package are kept in their present state.
+
+    Within NUMBA_CACHE_DIR if that is set, else in the package's `__pycache__`
+    if that can be written, else in the user's cache. In `__pycache__` older
+    states are removed: nobody else uses it.
+    """
+    name = _PREFIX + calc_stamp(package)[:16]
+    if numba.config.CACHE_DIR:
+        return Path(numba.config.CACHE_DIR) / name
+    own = package / "__pycache__"
+    if not os.access(own if own.exists() else package, os.W_OK):
+        return Path.home() / ".cache" / package.name / name
+    if not (own / name).exists():
+        for old in own.glob(_PREFIX + "*"):
+            shutil.rmtree(old, ignore_errors=True)
+    return own / name
 
 
 @functools.cache

@@ -1,10 +1,8 @@
 """The setting `robot_meshes` reaches the world and the monitor's twin."""
 
 import importlib.metadata
-import sys
 
 from pydrake.geometry import Mesh, Role
-import pytest
 
 from tofssm_drake.diagrams.scenario import load_scenario
 from tofssm_drake.diagrams.simulation import Run
@@ -46,15 +44,7 @@ def test_the_mask_knows_them_too():
         assert samples[f"{ring}_masked"].max() > 0
 
 
-@pytest.mark.parametrize("module", ["collada", "trimesh"])
 def test_without_the_extra_it_says_what_to_install(
-    monkeypatch, capfd, tmp_path, module
-):
-    monkeypatch.setitem(sys.modules, module, None)
-    check_told(capfd, tmp_path / "out")
-
-
-def test_without_the_package_of_meshes_it_says_so_too(
     monkeypatch, capfd, tmp_path
 ):
     def find_none(name):

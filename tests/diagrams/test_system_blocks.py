@@ -19,6 +19,7 @@ from tofssm_drake.diagrams.station import make_station
 from tofssm_drake.diagrams.workcell import make_workcell
 from tofssm_drake.evaluation.ground_truth import GroundTruth, TruthModel
 from tofssm_drake.geometry.ray_caster import RayCaster
+from tofssm_drake.geometry.ray_caster_sensor import RayCasterSensor
 from tofssm_drake.hardware.held_connections import HeldRobot
 from tofssm_drake.hardware.ring_link import NullRingLink
 from tofssm_drake.hardware.ring_receiver import RingDecoder, RingLinkConfig
@@ -119,11 +120,8 @@ class TestSystemBlocks(unittest.TestCase):
         )
         lidar_config = Lidar2dConfig()
         caster = RayCaster(station.scene_graph.model_inspector())
-        lidar = Lidar2d(
-            config=lidar_config,
-            caster=caster,
-            bundle=make_lidar_bundle(config=lidar_config, caster=caster),
-        )
+        bundle = make_lidar_bundle(config=lidar_config, caster=caster)
+        lidar = Lidar2d(config=lidar_config, caster=caster, bundle=bundle)
         kinematics = RingKinematics.from_plant(station.plant)
         ideal_separation = IdealSeparation(
             config=IdealSeparationConfig(),
@@ -146,6 +144,7 @@ class TestSystemBlocks(unittest.TestCase):
         return [
             GroundTruth(model=model),
             lidar,
+            RayCasterSensor(caster=caster, bundles=bundle),
             ideal_separation,
             lidar_separation,
             rtde_systems.RtdeInterfaceSystem(connection=connection),

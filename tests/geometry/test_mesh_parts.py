@@ -49,7 +49,7 @@ class TestOrientFaces(unittest.TestCase):
         self.rng = np.random.default_rng(12)
 
     def check_all_solid(self, vertices, faces, volume):
-        oriented, is_solid = orient_faces(vertices, faces)
+        oriented, is_solid, _ = orient_faces(vertices, faces)
         self.assertTrue(is_solid.all())
         self.assertAlmostEqual(calc_volume(vertices, oriented), volume)
         # The same triangles in the same order.
@@ -61,7 +61,7 @@ class TestOrientFaces(unittest.TestCase):
         for vertices, faces in (cube(), make_torus()):
             if calc_volume(vertices, faces) < 0.0:
                 faces = faces[:, ::-1]
-            oriented, is_solid = orient_faces(vertices, faces)
+            oriented, is_solid, _ = orient_faces(vertices, faces)
             np.testing.assert_array_equal(oriented, faces)
             self.assertTrue(is_solid.all())
 
@@ -103,7 +103,7 @@ class TestOrientFaces(unittest.TestCase):
     def test_stray_triangles_bound_nothing(self):
         stray = np.array([[0, 0, 0], [1, 0, 0], [0, 3, 0.0]]), [[0, 1, 2]]
         vertices, faces = join(cube(), stray)
-        oriented, is_solid = orient_faces(vertices, faces)
+        oriented, is_solid, _ = orient_faces(vertices, faces)
         np.testing.assert_array_equal(is_solid, [True] * 12 + [False])
         np.testing.assert_array_equal(oriented, faces)
         # A fin: one edge has three triangles.
@@ -111,7 +111,7 @@ class TestOrientFaces(unittest.TestCase):
         faces = np.vstack(
             [turn_over(CUBE_FACES, [2]), [[*CUBE_FACES[4, :2], 8]]]
         )
-        oriented, is_solid = orient_faces(vertices, faces)
+        oriented, is_solid, _ = orient_faces(vertices, faces)
         np.testing.assert_array_equal(is_solid, [True] * 12 + [False])
         self.assertAlmostEqual(calc_volume(vertices, oriented[:12]), 1.0)
 
@@ -122,7 +122,7 @@ class TestOrientFaces(unittest.TestCase):
 
     def test_open_surfaces_bound_nothing(self):
         for faces in (CUBE_FACES[1:], CUBE_FACES[:1]):
-            oriented, is_solid = orient_faces(CUBE_VERTICES, faces)
+            oriented, is_solid, _ = orient_faces(CUBE_VERTICES, faces)
             np.testing.assert_array_equal(oriented, faces)
             self.assertFalse(is_solid.any())
 
@@ -145,7 +145,7 @@ class TestOrientFaces(unittest.TestCase):
         np.testing.assert_array_equal(inside, [True, True, False])
         shared = np.flatnonzero((vertices[faces][:, :, 0] == 0.5).all(axis=1))
         self.assertEqual(len(shared), 4)
-        _, is_solid = orient_faces(vertices, turn_over(faces, shared[:1]))
+        _, is_solid, _ = orient_faces(vertices, turn_over(faces, shared[:1]))
         self.assertFalse(is_solid.any())
 
     def test_cubes_that_share_an_edge_or_corner(self):
@@ -170,6 +170,51 @@ class TestOrientFaces(unittest.TestCase):
         ).all(axis=1)
         np.testing.assert_array_equal(find_inside(vertices, faces, p), want)
         self.assertGreater(want.sum(), 100)
+
+    def check_inside(self, vertices, faces, want, p):
+        np.testing.assert_array_equal(find_inside(vertices, faces, p), want)
+
+    def test_corners_that_differ_by_rounding(self):
+        """Each face with corners of its own, as exporters write them."""
+        vertices, faces = cube([0.3, 0.2, 0.1])
+        p = self.rng.uniform(-0.5, 1.0, (2000, 3))
+        want = (np.abs(p - [0.3, 0.2, 0.1]) < 0.5).all(axis=1)
+        self.assertGreater(want.sum(), 100)
+        for size in (1e-15, 1e-12, 1e-9, 1e-7):
+            apart = vertices[faces].reshape(-1, 3)
+            apart = apart + size * self.rng.uniform(-1, 1, apart.shape)
+            faces_apart = turn_over(np.arange(36).reshape(-1, 3), [0, 5, 6])
+            oriented, is_solid, welded = orient_faces(apart, faces_apart)
+            self.assertTrue(is_solid.all())
+            self.assertAlmostEqual(calc_volume(welded, oriented), 1.0, 5)
+            self.assertLess(np.abs(welded - apart).max(), 4e-6)
+            self.check_inside(apart, faces_apart, want, p)
+
+    def test_a_real_gap_is_not_closed(self):
+        apart = cube()[0][CUBE_FACES].reshape(-1, 3) * (1 + 1e-12)
+        apart[:6] += [1e-3, 0, 0]
+        _, is_solid, _ = orient_faces(apart, np.arange(36).reshape(-1, 3))
+        self.assertFalse(is_solid.any())
+
+    def test_faces_that_are_there_twice(self):
+        p = self.rng.uniform(-1, 1, (1000, 3))
+        want = (np.abs(p) < 0.5).all(axis=1)
+        vertices, faces = cube()
+        for more in (
+            faces[3:4],
+            faces[3:4, ::-1],
+            faces[[3, 3, 7]][:, [1, 2, 0]],
+            # A double layer, and one that is turned over, too.
+            faces,
+            faces[:, ::-1],
+        ):
+            both = np.vstack([faces, more])
+            _, is_solid, _ = orient_faces(vertices, both)
+            self.assertTrue(is_solid[:12].all())
+            self.check_inside(vertices, both, want, p)
+        # The second one by vertices of its own, that are not quite there.
+        both = join((vertices, faces), (vertices * (1 + 1e-9), faces[3:4]))
+        self.check_inside(*both, want, p)
 
 
 if __name__ == "__main__":

@@ -12,8 +12,8 @@ PAGE = Path(__file__).parents[2] / "docs" / "ray_caster.md"
 class TestPage(unittest.TestCase):
     def test_examples(self):
         blocks = re.findall(r"```python\n(.*?)```", PAGE.read_text(), re.S)
-        self.assertEqual(len(blocks), 3)
-        example, sensors, known_poses = blocks
+        self.assertEqual(len(blocks), 4)
+        example, sensors, system, known_poses = blocks
         lines = [line for line in example.splitlines() if line]
         code = [x for x in lines if not x.startswith(("import ", "from "))]
         self.assertEqual(len(code), 10)
@@ -38,6 +38,11 @@ class TestPage(unittest.TestCase):
             np.tile([-1.0, 0, 0], (seen[0].sum(), 1)),
             atol=1e-15,
         )
+        apart = dict(space)
+        exec(system, apart)
+        self.assertEqual(apart["ranges"].shape, (3, 181))
+        self.assertAlmostEqual(apart["ranges"][1, 90], 1.5)
+        self.assertAlmostEqual(apart["scan_time"][0], 0.2)
         found = space["distances"]
         exec(known_poses, space)
         self.assertIsNot(space["distances"], found)

@@ -7,7 +7,7 @@ import subprocess
 import sys
 import unittest
 
-import numba
+from numba.extending import is_jitted
 import numpy as np
 from pydrake.common.value import Value
 from pydrake.geometry import FramePoseVector
@@ -85,7 +85,7 @@ def report_cache():
     stats = {}
     for module in (ray_kernels, mesh_kernels, mesh_parts, triangle_tree):
         for name, value in vars(module).items():
-            if isinstance(value, numba.core.dispatcher.Dispatcher):
+            if is_jitted(value):
                 hits = sum(value.stats.cache_hits.values())
                 misses = sum(value.stats.cache_misses.values())
                 if hits or misses:

@@ -18,6 +18,7 @@ from solids import (
     make_torus,
     write_obj,
 )
+import trimesh
 
 from tofssm_drake.errors import UserError
 from tofssm_drake.geometry.fan import make_cone_fan
@@ -109,6 +110,31 @@ def make_gltf(primitives, nodes, buffers):
         ),
         data,
     )
+
+
+def make_dae(vertices, faces, meter):
+    """A COLLADA file whose node doubles and moves by (1, 2, 3)."""
+    numbers = " ".join(f"{x:.17g}" for x in np.ravel(vertices))
+    corners = " ".join(map(str, np.ravel(faces)))
+    return f"""<?xml version="1.0"?>
+<COLLADA xmlns="http://www.collada.org/2005/11/COLLADASchema" version="1.4.1">
+<asset><created>2020-01-01T00:00:00</created>
+<modified>2020-01-01T00:00:00</modified>
+<unit name="u" meter="{meter}"/><up_axis>Z_UP</up_axis></asset>
+<library_geometries><geometry id="g"><mesh>
+<source id="positions"><float_array id="a" count="{3 * len(vertices)}">
+{numbers}</float_array><technique_common>
+<accessor source="#a" count="{len(vertices)}" stride="3">
+<param name="X" type="float"/><param name="Y" type="float"/>
+<param name="Z" type="float"/></accessor></technique_common></source>
+<vertices id="v"><input semantic="POSITION" source="#positions"/></vertices>
+<triangles count="{len(faces)}">
+<input semantic="VERTEX" source="#v" offset="0"/><p>{corners}</p></triangles>
+</mesh></geometry></library_geometries>
+<library_visual_scenes><visual_scene id="s"><node id="n">
+<translate>1 2 3</translate><scale>2 2 2</scale>
+<instance_geometry url="#g"/></node></visual_scene></library_visual_scenes>
+<scene><instance_visual_scene url="#s"/></scene></COLLADA>"""
 
 
 class TestMesh(unittest.TestCase):
@@ -500,6 +526,44 @@ class TestReadMesh(unittest.TestCase):
         self.assertIs(mesh.solid, mesh.surface)
         self.assertEqual(mesh.surface.triangles.max(), 2.0)
 
+    def test_stl_binary_and_text(self):
+        surface = trimesh.Trimesh(self.vertices, self.faces, process=False)
+        for file_type in ("stl", "stl_ascii"):
+            contents = surface.export(file_type=file_type)
+            mesh = make_mesh(contents, ".STL", scale=(1, 2, 3))
+            self.check_same(mesh, self.vertices * [1, 2, 3], self.faces)
+            # Corners that are written once for each triangle are one.
+            mesh = mut.read_mesh(mesh, "it")
+            self.assertIs(mesh.solid, mesh.surface)
+        with tempfile.TemporaryDirectory() as folder:
+            path = Path(folder) / "torus.stl"
+            surface.export(path)
+            self.check_same(Mesh(path), self.vertices, self.faces)
+
+    def test_collada_with_nodes_and_unit(self):
+        """A node that moves and scales, in centimetres."""
+        text = make_dae(self.vertices, self.faces, meter=0.01)
+        expected = 0.01 * (2.0 * self.vertices + [1.0, 2.0, 3.0])
+        self.check_same(make_mesh(text, ".dae"), expected, self.faces)
+
+    def test_broken_stl_and_collada_are_named(self):
+        good = make_dae(self.vertices, self.faces, meter=1.0)
+        for text, extension, message in (
+            ("solid x\nfacet", ".stl", "cannot be read"),
+            ("", ".stl", "cannot be read"),
+            ("\0" * 83, ".stl", "cannot be read"),
+            ("<COLLADA", ".dae", "cannot be read"),
+            (good.replace("#positions", "#lost"), ".dae", "cannot be read"),
+            (good[:-900], ".dae", "cannot be read"),
+        ):
+            with (
+                self.subTest(text=text[:20]),
+                self.assertRaisesRegex(
+                    UserError, f"geometry 'horn': mesh 'memory' {message}"
+                ),
+            ):
+                mut.read_mesh(make_mesh(text, extension), "horn")
+
     def test_unreadable_meshes_are_named(self):
         good, _ = make_gltf([(self.vertices, [0, 1, 2], 4)], [{"mesh": 0}], "x")
         dots, _ = make_gltf([(self.vertices, [0, 1], 0)], [{"mesh": 0}], None)
@@ -507,13 +571,14 @@ class TestReadMesh(unittest.TestCase):
         null = json.dumps(json.loads(dots) | {"buffers": None})
         circle = json.loads(dots) | {"nodes": [{"children": [0]}]}
         for shape, message in (
-            (Mesh("/nowhere/none.obj"), "none.obj' can not be read"),
-            (Mesh("/nowhere/none.gltf"), "none.gltf' can not be read"),
-            (Mesh("/nowhere/none.vtk"), "none.vtk' can not be read"),
-            (Mesh("/nowhere/a.stl"), "'.stl' is not one of .obj, .gltf, .vtk"),
-            (make_mesh("v 0 0 0"), "can not be read"),
-            (make_mesh("{", ".gltf"), "can not be read"),
-            (make_mesh(good, ".gltf"), "can not be read: its buffer 'x' is"),
+            (Mesh("/nowhere/none.obj"), "none.obj' cannot be read"),
+            (Mesh("/nowhere/none.gltf"), "none.gltf' cannot be read"),
+            (Mesh("/nowhere/none.vtk"), "none.vtk' cannot be read"),
+            (Mesh("/nowhere/none.stl"), "none.stl' cannot be read"),
+            (Mesh("/nowhere/a.ply"), "'.ply' is not one of .obj, .gltf, .stl"),
+            (make_mesh("v 0 0 0"), "cannot be read"),
+            (make_mesh("{", ".gltf"), "cannot be read"),
+            (make_mesh(good, ".gltf"), "cannot be read: its buffer 'x' is"),
             (make_mesh(dots, ".gltf"), "no triangle"),
             (make_mesh(needs, ".gltf"), "needs the extensions KHR_draco"),
             (make_mesh("[]", ".gltf"), "memory.*not as its format demands"),
@@ -670,9 +735,9 @@ class TestReadMesh(unittest.TestCase):
                 supporting_files={"a.bin": Path(folder) / "a.bin"},
             )
             for shape, message in (
-                (Mesh(path), r"horn\.gltf' can not be read: .*a\.bin"),
+                (Mesh(path), r"horn\.gltf' cannot be read: .*a\.bin"),
                 (Mesh(nameless), r"nameless\.gltf' .*: a buffer has no uri"),
-                (Mesh(memory), r"memory' can not be read: .*a\.bin"),
+                (Mesh(memory), r"memory' cannot be read: .*a\.bin"),
             ):
                 scene = oracle.Scene()
                 scene.add(shape, name="horn")

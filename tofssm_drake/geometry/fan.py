@@ -66,3 +66,74 @@ def make_cone_fan(fov_rad: float, rays: int) -> np.ndarray:
         fan[start : start + count, 2] = np.sin(angle) * np.sin(turn)
         start += count
     return fan
+
+
+def make_planar_fan(azimuths: np.ndarray) -> np.ndarray:
+    """Returns directions in the xy plane, as a planar lidar scans them.
+
+    Args:
+        azimuths: Angles about z from x, rad, shape (n,).
+
+    Returns:
+        Unit directions, shape (n, 3).
+    """
+    return make_lidar_fan(azimuths, [0.0])[0]
+
+
+def make_lidar_fan(azimuths: np.ndarray, elevations: np.ndarray) -> np.ndarray:
+    """Returns the directions of a lidar with several rows.
+
+    Args:
+        azimuths: Angles about z from x, rad, shape (n,).
+        elevations: Angles of the rows up from the xy plane, rad, shape (m,).
+
+    Returns:
+        Unit directions, shape (m, n, 3).
+    """
+    azimuth, elevation = np.meshgrid(azimuths, elevations)
+    return np.stack(
+        [
+            np.cos(elevation) * np.cos(azimuth),
+            np.cos(elevation) * np.sin(azimuth),
+            np.sin(elevation),
+        ],
+        axis=-1,
+    )
+
+
+def make_pinhole_fan(
+    *,
+    width: int,
+    height: int,
+    focal_x: float,
+    focal_y: float,
+    center_x: float,
+    center_y: float,
+) -> np.ndarray:
+    """Returns the directions of a camera's pixels, as Drake's CameraInfo.
+
+    The camera looks along z; x points to the right in the image and y down.
+    Of a range along such a ray, the direction's z component times the range
+    is the depth.
+
+    Args:
+        width: Pixels in a row.
+        height: Pixels in a column.
+        focal_x: Focal length, pixels.
+        focal_y: Likewise.
+        center_x: Principal point, pixels; whole numbers are pixel centres.
+        center_y: Likewise.
+
+    Returns:
+        Unit directions, shape (height, width, 3).
+    """
+    u, v = np.meshgrid(np.arange(width), np.arange(height))
+    rays = np.stack(
+        [
+            (u - center_x) / focal_x,
+            (v - center_y) / focal_y,
+            np.ones((height, width)),
+        ],
+        axis=-1,
+    )
+    return rays / np.linalg.norm(rays, axis=-1, keepdims=True)

@@ -13,8 +13,9 @@ from tofssm_drake.kernels import njit
 STACK = 128
 """Entries of a traversal's stack; trees are less deep."""
 
-# How near to a surface is on it, in units of the largest coordinate.
-_ON = 1e-14
+ON = 1e-14
+"""How near to a surface is on it, in units of the largest coordinate."""
+
 # Of a product of three lengths.
 _ROUNDING = 2e-15
 
@@ -291,7 +292,7 @@ def is_in_mesh(nodes, triangles, root, solid, p, far, stack):
     """
     for j in range(6):
         far = max(far, abs(nodes[root, j]))
-    if _is_on_mesh(nodes, triangles, root, p, _ON * far, stack):
+    if _is_on_mesh(nodes, triangles, root, p, ON * far, stack):
         return True
     if solid < 0:
         return False
@@ -328,12 +329,31 @@ def cast_convex(planes, first, count, p, dx, dy, dz):
 
 
 @njit(cache=True, error_model="numpy")
-def is_inside_convex(planes, first, count, p):
-    """Returns whether a point is inside a polytope or on its surface."""
+def leave_convex(planes, first, count, p, dx, dy, dz):
+    """Returns (distance, plane) at which a ray from inside gets out."""
+    leave, found = np.inf, -1
+    for i in range(first, first + count):
+        slope = planes[i, 0] * dx + planes[i, 1] * dy + planes[i, 2] * dz
+        if slope > 0.0:
+            gap = planes[i, 3] - (
+                planes[i, 0] * p[0] + planes[i, 1] * p[1] + planes[i, 2] * p[2]
+            )
+            t = max(gap / slope, 0.0)
+            if t < leave:
+                leave, found = t, i
+    return leave, found
+
+
+@njit(cache=True, error_model="numpy")
+def is_inside_convex(planes, first, count, p, within):
+    """Returns whether a point is inside a polytope or on its surface.
+
+    Or, with `within` above 0, so far inside of it.
+    """
     for i in range(first, first + count):
         if (
             planes[i, 0] * p[0] + planes[i, 1] * p[1] + planes[i, 2] * p[2]
-            > planes[i, 3]
+            > planes[i, 3] - within
         ):
             return False
     return True

@@ -6,16 +6,22 @@ single triangles are turned over, parts are inside out, or a stray triangle
 bounds nothing.
 """
 
+import itertools
+
 import numpy as np
 
 from tofssm_drake.geometry.mesh_kernels import STACK, is_in_mesh
 from tofssm_drake.geometry.triangle_tree import make_triangle_tree
 from tofssm_drake.kernels import njit
 
+# Corners so near to each other are one, in units of the largest coordinate:
+# several roundings of single precision (*assumed*: what exporters leave).
+_WELD = 1e-6
+
 
 def orient_faces(
     vertices: np.ndarray, faces: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Turns the triangles of a mesh so that they run the same way around.
 
     Triangles that share an edge with no third one are in one part. A part is
@@ -24,63 +30,184 @@ def orient_faces(
     that are not in such a part, but share edges with one another, are a part,
     too, if they are closed the way they run. All others bound nothing.
 
+    Vertices at the same place count as one, since files repeat them where a
+    surface has a crease. Of several triangles with the same corners one
+    counts, unless only all of them close a part. What is not closed by then
+    is tried once more with corners welded that differ by rounding.
+
     A part then encloses what is inside of it, whichever way it runs. But a
     part that is wholly within another one, and runs the other way, is a
-    hollow in it. Vertices at the same place count as one, since files repeat
-    them where a surface has a crease.
+    hollow in it.
 
     Args:
         vertices: Positions, shape (v, 3), m.
         faces: Indices of each triangle's corners, shape (n, 3).
 
     Returns:
-        (faces, is_solid): the faces, some turned over, and whether each is of
-        a closed part, shape (n,).
+        (faces, is_solid, welded): the faces, some turned over; whether each
+        is of a closed part, shape (n,); and the vertices to take for the
+        closed parts, which are `vertices` itself if no part was welded.
     """
-    places = np.unique(vertices + 0.0, axis=0, return_inverse=True)[1]
-    corners = places.reshape(-1)[faces]
+    places = _number_rows(vertices)
+    everything = np.ones(len(faces), dtype=bool)
+    turned, part = _find_closed_parts(places[faces], everything)
+    is_open = (part < 0) & ~_are_repeated(places[faces], part)
+    welded = vertices
+    if is_open.any():
+        near = _weld(vertices, faces[is_open], places)
+        again, more = _find_closed_parts(near[faces], is_open)
+        is_new = more >= 0
+        if is_new.any():
+            turned, part = turned | again, np.where(is_new, more, part)
+            welded = _move_to_places(vertices, faces[is_new], near)
+    is_closed = part >= 0
+    if not is_closed.any():
+        return faces, is_closed, vertices
+    faces = faces.copy()
+    faces[turned] = faces[turned, ::-1]
+    inverted = _find_inverted_parts(welded, faces, part)
+    over = inverted[part] & is_closed
+    faces[over] = faces[over, ::-1]
+    # A line or point does no harm: no ray crosses it.
+    return faces, is_closed | ~_are_real(places[faces]), welded
+
+
+def _number_rows(rows: np.ndarray) -> np.ndarray:
+    """Returns a number for each row, the same for equal ones, from 0 on."""
+    order = np.lexsort(rows.T)
+    is_new = np.ones(len(rows), dtype=bool)
+    is_new[1:] = (rows[order[1:]] != rows[order[:-1]]).any(axis=1)
+    numbers = np.empty(len(rows), dtype=np.int64)
+    numbers[order] = np.cumsum(is_new) - 1
+    return numbers
+
+
+def _weld(vertices, faces, places) -> np.ndarray:
+    """Returns the places of vertices, one for those that are near each other.
+
+    Only corners of the given faces are welded.
+    """
+    used, first = np.unique(places[faces], return_index=True)
+    points = vertices[faces.reshape(-1)[first]]
+    group = _group_near(points, _WELD * np.abs(points).max())
+    welded = np.arange(places.max() + 1)
+    welded[used] = used[group]
+    return welded[places]
+
+
+def _group_near(points: np.ndarray, within: float) -> np.ndarray:
+    """Returns a number for each point, the same for those near each other.
+
+    They are sorted into cells of twice the distance, in each dimension once
+    shifted by half a cell and once not, so that near ones share one of them.
+    """
+    if not within > 0.0:
+        return np.zeros(len(points), dtype=np.int64)
+    first, second = [], []
+    for shift in itertools.product((0.0, 0.5), repeat=3):
+        cells = np.floor(points / (2.0 * within) + shift)
+        order = np.lexsort(cells.T)
+        same = (cells[order[1:]] == cells[order[:-1]]).all(axis=1)
+        first.append(order[:-1][same])
+        second.append(order[1:][same])
+    first, second = np.concatenate(first), np.concatenate(second)
+    group, _, _ = _join(
+        len(points), first, second, np.zeros(len(first), dtype=bool)
+    )
+    return group
+
+
+def _move_to_places(vertices, faces, places) -> np.ndarray:
+    """Returns vertices of which those at the same place are equal.
+
+    Only corners of the given faces are moved.
+    """
+    used = np.unique(faces)
+    _, first, index = np.unique(
+        places[used], return_index=True, return_inverse=True
+    )
+    moved = vertices.copy()
+    moved[used] = vertices[used[first]][index.reshape(-1)]
+    return moved
+
+
+def _find_closed_parts(corners, is_open):
+    """Returns which triangles to turn over, and each one's part, -1: none.
+
+    Args:
+        corners: Place of each triangle's corners, shape (n, 3).
+        is_open: Which triangles are looked at, bool, shape (n,).
+    """
     # A triangle that is only a line or point bounds nothing.
-    is_real = (
+    is_open = is_open & _are_real(corners)
+    turned, part = np.zeros(len(corners), dtype=bool), np.full(len(corners), -1)
+    rows = np.flatnonzero(is_open)
+    if len(rows) == 0:
+        return turned, part
+    # One of those with the same corners.
+    numbers = _number_rows(np.sort(corners[rows], axis=1))
+    single = rows[np.sort(np.unique(numbers, return_index=True)[1])]
+    turned[single], group = _find_even_parts(corners[single])
+    part[single] = np.where(group >= 0, single[group], -1)
+    # What is left is tried the way it runs, each triangle as often as it is
+    # there.
+    rest = np.flatnonzero(is_open & (part < 0) & ~_are_repeated(corners, part))
+    if len(rest) > 0:
+        group = _find_balanced_parts(corners[rest])
+        part[rest] = np.where(group >= 0, rest[group], -1)
+    return turned, part
+
+
+def _are_repeated(corners, part):
+    """Returns whether a triangle has the same corners as one of a part."""
+    if (part >= 0).all() or not (part >= 0).any():
+        return np.zeros(len(corners), dtype=bool)
+    numbers = _number_rows(np.sort(corners, axis=1))
+    is_closed = np.zeros(numbers.max() + 1, dtype=bool)
+    is_closed[numbers[part >= 0]] = True
+    return is_closed[numbers] & (part < 0)
+
+
+def _are_real(corners):
+    """Returns whether triangles have three different corners."""
+    return (
         (corners[:, 0] != corners[:, 1])
         & (corners[:, 1] != corners[:, 2])
         & (corners[:, 2] != corners[:, 0])
     )
-    real = np.flatnonzero(is_real)
-    if len(real) == 0:
-        return faces, is_real
-    turned, part = _find_closed_parts(corners[real], len(vertices))
-    if not (part >= 0).any():
-        return faces, np.zeros(len(faces), dtype=bool)
-    faces = faces.copy()
-    faces[real[turned]] = faces[real[turned], ::-1]
-    inverted = _find_inverted_parts(vertices, faces[real], part)
-    over = real[inverted[part] & (part >= 0)]
-    faces[over] = faces[over, ::-1]
-    # Nor does a line or point do harm: no ray crosses it.
-    is_solid = ~is_real
-    is_solid[real[part >= 0]] = True
-    return faces, is_solid
 
 
-def _find_closed_parts(corners, num_vertices):
-    """Returns which triangles to turn over, and each one's part, -1: none."""
-    n = len(corners)
+def _list_edges(corners):
+    """Returns edges' numbers, their triangles, and which way they run."""
     edges = np.vstack([corners[:, [i, (i + 1) % 3]] for i in range(3)])
-    owner = np.tile(np.arange(n), 3)
+    owner = np.tile(np.arange(len(corners)), 3)
     sign = np.where(edges[:, 0] < edges[:, 1], 1, -1)
-    key = np.sort(edges, axis=1) @ np.array([num_vertices, 1])
+    key = np.sort(edges, axis=1) @ np.array([corners.max() + 1, 1])
     _, edge, count = np.unique(key, return_inverse=True, return_counts=True)
-    edge = edge.reshape(-1)
+    return edge.reshape(-1), owner, sign, count
+
+
+def _pair_up(edge, count, most):
+    """Returns rows of `edge`, pairwise equal, with at most so many equal."""
     order = np.argsort(edge, kind="stable")
     # Neighbours in this list share an edge.
     first, second = order[:-1], order[1:]
-    shares = edge[first] == edge[second]
-    pairs = shares & (count[edge[first]] == 2)
+    shares = (edge[first] == edge[second]) & (count[edge[first]] <= most)
+    return first[shares], second[shares]
+
+
+def _find_even_parts(corners):
+    """Finds parts whose edges have two triangles; any may be turned over.
+
+    Returns:
+        (turned, part): which triangles to turn over, and the number of each
+        one's part, the row of a triangle, -1 if it is not closed.
+    """
+    n = len(corners)
+    edge, owner, sign, count = _list_edges(corners)
+    first, second = _pair_up(edge, count, 2)
     group, turned, is_orientable = _join(
-        n,
-        owner[first[pairs]],
-        owner[second[pairs]],
-        sign[first[pairs]] == sign[second[pairs]],
+        n, owner[first], owner[second], sign[first] == sign[second]
     )
     # As most of the part runs.
     most = np.bincount(group, turned, n) > 0.5 * np.bincount(group, None, n)
@@ -89,20 +216,21 @@ def _find_closed_parts(corners, num_vertices):
         group[owner], edge, np.where(turned[owner], -sign, sign), n
     )
     part = np.where(is_closed[group], group, -1)
-    rest = part < 0
-    turned[rest] = False
-    if rest.any():
-        pairs = shares & rest[owner[first]] & rest[owner[second]]
-        group, _, _ = _join(
-            n,
-            owner[first[pairs]],
-            owner[second[pairs]],
-            np.zeros(np.count_nonzero(pairs), dtype=bool),
-        )
-        mine = rest[owner]
-        is_closed = _are_balanced(group[owner][mine], edge[mine], sign[mine], n)
-        part = np.where(rest & is_closed[group], group, part)
-    return turned, part
+    return turned & (part >= 0), part
+
+
+def _find_balanced_parts(corners):
+    """Finds parts that are closed the way they run; returns each one's part.
+
+    Any number of triangles may share an edge.
+    """
+    n = len(corners)
+    edge, owner, sign, count = _list_edges(corners)
+    first, second = _pair_up(edge, count, n * 3)
+    nothing = np.zeros(len(first), dtype=bool)
+    group, _, _ = _join(n, owner[first], owner[second], nothing)
+    is_closed = _are_balanced(group[owner], edge, sign, n)
+    return np.where(is_closed[group], group, -1)
 
 
 def _are_balanced(group, edge, sign, num_groups):

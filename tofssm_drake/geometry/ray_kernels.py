@@ -15,20 +15,23 @@ by the box that each shape is in, and, for what is farther than what has been
 hit already, by the least distance at which that box can be met.
 """
 
+from typing import NamedTuple
+
 import numpy as np
 
 from tofssm_drake.geometry.mesh_kernels import (
+    ON,
     STACK,
     cast_convex,
     cast_mesh,
     is_in_mesh,
     is_inside_convex,
+    leave_convex,
 )
 from tofssm_drake.geometry.shape_kernels import (
     BOX,
     CAPSULE,
     CYLINDER,
-    ELLIPSOID,
     HALF_SPACE,
     SPHERE,
     cast_box,
@@ -40,6 +43,7 @@ from tofssm_drake.geometry.shape_kernels import (
     cast_sphere,
     find_normal,
     is_in_primitive,
+    leave_primitive,
 )
 from tofssm_drake.kernels import njit
 
@@ -102,6 +106,36 @@ _TOLERANCE = 1e-6
 _MARGIN = 1e-9
 # Ciura's steps, for lists as long as a scene has shapes.
 _GAPS = (1750, 701, 301, 132, 57, 23, 10, 4, 1)
+
+
+class _Near(NamedTuple):
+    """The shapes that a bundle may see, and scratch space to find them."""
+
+    shape: np.ndarray
+    """Their numbers."""
+    enter: np.ndarray
+    """The least distances, negative where the bundle starts inside, m."""
+    posed: np.ndarray
+    """Origin and rotation of the bundle in them, see NEAR_P."""
+    order: np.ndarray
+    """Rows of the above, the nearest first."""
+    pending: np.ndarray
+    """Balls that are still to be looked at."""
+    X_WG: np.ndarray
+    """A shape's pose."""
+
+
+class _Rays(NamedTuple):
+    """What is known of a bundle's rays, in their sorted order."""
+
+    best: np.ndarray
+    """The nearest hit so far, m."""
+    hit: np.ndarray
+    """Its shape, -1: none."""
+    t: np.ndarray
+    """Distance of the shape at hand, m."""
+    d: np.ndarray
+    """Their directions in this shape, (3, k)."""
 
 
 @njit(cache=True, error_model="numpy", forceinline=True)
@@ -328,7 +362,7 @@ def _sort(order, key, n):
             order[j] = this
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", nogil=True)
 def cast_bundles(
     X_WF, scene, bundles, active, which, fan, cones, distance, index
 ):
@@ -351,301 +385,307 @@ def cast_bundles(
     Returns:
         Status.
     """
-    shapes, balls, planes, nodes, triangles = scene
-    m, n, k = bundles.shape[0], shapes.shape[0], fan.shape[1]
-    groups = cones.shape[0] - 1
+    shapes, balls, _, _, _ = scene
+    n, k = shapes.shape[0], fan.shape[1]
     if not are_poses(X_WF):
         return BAD_POSE
     posed = _pose_balls(X_WF, balls)
-    num_balls = posed.shape[1]
-    flags, words = _make_mask(num_balls)
-    pending = np.empty(balls.shape[0], dtype=np.int64)
+    seen = _make_mask(posed.shape[1])
     X_WS = np.empty((3, 4))
-    X_WG = np.empty((3, 4))
-    # Of the bundle's rays, sorted: the nearest hit so far, and the next.
-    best = np.empty(k)
-    hit = np.empty(k, dtype=np.int64)
-    t = np.empty(k)
-    # Of the shapes that the bundle may see: number; least distance, negative
-    # if it starts inside; origin and rotation in G; order, nearest first.
-    near_shape = np.empty(n, dtype=np.int64)
-    near_enter = np.empty(n)
-    near = np.empty((n, NEAR_COLUMNS))
-    p_G = np.empty(3)
-    order = np.empty(n, dtype=np.int64)
     stack = np.empty((2, STACK))
-    for i in range(m):
+    near = _Near(
+        np.empty(n, dtype=np.int64),
+        np.empty(n),
+        np.empty((n, NEAR_COLUMNS)),
+        np.empty(n, dtype=np.int64),
+        np.empty(balls.shape[0], dtype=np.int64),
+        np.empty((3, 4)),
+    )
+    rays = _Rays(
+        np.empty(k), np.empty(k, dtype=np.int64), np.empty(k), np.empty((3, k))
+    )
+    for i in range(bundles.shape[0]):
         if not which[i]:
             distance[i] = np.inf
             index[i] = -1
             continue
         _compose(X_WF, int(bundles[i, BUNDLE_FRAME]), bundles, i, X_WS)
         reach = bundles[i, BUNDLE_RANGE]
-        ox, oy, oz = X_WS[0, 3], X_WS[1, 3], X_WS[2, 3]
-        far = max(abs(ox), max(abs(oy), abs(oz)))
-        ax, ay, az = cones[0, 0], cones[0, 1], cones[0, 2]
-        cos, sin = max(cones[0, 3], 0.0), cones[0, 4]
-        cos2 = cos * cos
-        floor = 0.0 if cos > 0.0 else -np.inf
-        ux = X_WS[0, 0] * ax + X_WS[0, 1] * ay + X_WS[0, 2] * az
-        uy = X_WS[1, 0] * ax + X_WS[1, 1] * ay + X_WS[1, 2] * az
-        uz = X_WS[2, 0] * ax + X_WS[2, 1] * ay + X_WS[2, 2] * az
-        for b in range(num_balls):
-            flags[b] = _may_see_ball(
-                posed[0, b] - ox,
-                posed[1, b] - oy,
-                posed[2, b] - oz,
-                posed[3, b],
-                ux,
-                uy,
-                uz,
-                cos2,
-                sin,
-                floor,
-                reach,
-            )
-        num_near = 0
-        for w in range(words.shape[0]):
-            if words[w] == 0:
-                continue
-            for b in range(8 * w, min(8 * w + 8, num_balls)):
-                if flags[b] == 0:
-                    continue
-                pending[0] = 1 + b
-                top = 1
-                while top > 0:
-                    top -= 1
-                    ball = pending[top]
-                    child = int(balls[ball, BALL_FIRST])
-                    count = int(balls[ball, BALL_COUNT])
-                    if count > 0:
-                        for c in range(child, child + count):
-                            x, y, z = _pose_ball(X_WF, balls, c)
-                            if _may_see_ball(
-                                x - ox,
-                                y - oy,
-                                z - oz,
-                                balls[c, BALL_RADIUS],
-                                ux,
-                                uy,
-                                uz,
-                                cos2,
-                                sin,
-                                floor,
-                                reach,
-                            ):
-                                pending[top] = c
-                                top += 1
-                        continue
-                    if not active[i, child]:
-                        continue
-                    _pose_bundle(
-                        X_WF, shapes, child, X_WS, X_WG, near, num_near
-                    )
-                    enter = _enter_shape_box(
-                        shapes, child, near, num_near, cones, 0, reach
-                    )
-                    if enter == np.inf:
-                        continue
-                    if enter == 0.0:
-                        x, y, z = (
-                            near[num_near, 0],
-                            near[num_near, 1],
-                            near[num_near, 2],
-                        )
-                        kind = int(shapes[child, KIND])
-                        if not _is_in_box(shapes, child, x, y, z):
-                            inside = False
-                        elif kind < CONVEX:
-                            inside = is_in_primitive(
-                                kind,
-                                x,
-                                y,
-                                z,
-                                shapes[child, SIZE],
-                                shapes[child, SIZE + 1],
-                                shapes[child, SIZE + 2],
-                            )
-                        else:
-                            p_G[0], p_G[1], p_G[2] = x, y, z
-                            part = int(shapes[child, DATA])
-                            parts = int(shapes[child, DATA + 1])
-                            inside = (
-                                is_inside_convex(planes, part, parts, p_G)
-                                if kind == CONVEX
-                                else is_in_mesh(
-                                    nodes,
-                                    triangles,
-                                    part,
-                                    parts,
-                                    p_G,
-                                    far,
-                                    stack,
-                                )
-                            )
-                        if inside:
-                            enter = -1.0
-                    near_shape[num_near] = child
-                    near_enter[num_near] = enter
-                    order[num_near] = num_near
-                    num_near += 1
-        _sort(order, near_enter, num_near)
-        # A hit at exactly the range counts, hence the next number.
-        limit = np.nextafter(reach, np.inf)
-        for j in range(k):
-            best[j] = limit
-            hit[j] = -1
-        for g in range(1, 1 + groups):
-            # Unsigned: a negative index would count from the end.
-            first, last = np.uint64(cones[g, 5]), np.uint64(cones[g, 6])
-            for o in range(num_near):
-                q = order[o]
-                s = near_shape[q]
-                if near_enter[q] < 0.0:
-                    for j in range(first, last):
-                        t[j] = 0.0
-                else:
-                    worst = 0.0
-                    for j in range(first, last):
-                        worst = max(worst, best[j])
-                    if near_enter[q] > worst:
-                        break
-                    if groups > 1 and (
-                        _enter_shape_box(shapes, s, near, q, cones, g, worst)
-                        == np.inf
-                    ):
-                        continue
-                    kind = int(shapes[s, KIND])
-                    a = shapes[s, SIZE]
-                    b = shapes[s, SIZE + 1]
-                    c = shapes[s, SIZE + 2]
-                    part, parts = int(shapes[s, DATA]), int(shapes[s, DATA + 1])
-                    px, py, pz = near[q, 0], near[q, 1], near[q, 2]
-                    xx, xy, xz = near[q, 3], near[q, 4], near[q, 5]
-                    yx, yy, yz = near[q, 6], near[q, 7], near[q, 8]
-                    zx, zy, zz = near[q, 9], near[q, 10], near[q, 11]
-                    p_G[0], p_G[1], p_G[2] = px, py, pz
-                    # A loop for each kind: a compiler takes several rays at
-                    # a time. No function: each table that is handed over
-                    # costs as much as two rays.
-                    if kind == SPHERE:
-                        for j in range(first, last):
-                            dx = (
-                                xx * fan[0, j] + xy * fan[1, j] + xz * fan[2, j]
-                            )
-                            dy = (
-                                yx * fan[0, j] + yy * fan[1, j] + yz * fan[2, j]
-                            )
-                            dz = (
-                                zx * fan[0, j] + zy * fan[1, j] + zz * fan[2, j]
-                            )
-                            t[j] = cast_sphere(px, py, pz, dx, dy, dz, a)
-                    elif kind == CAPSULE:
-                        for j in range(first, last):
-                            dx = (
-                                xx * fan[0, j] + xy * fan[1, j] + xz * fan[2, j]
-                            )
-                            dy = (
-                                yx * fan[0, j] + yy * fan[1, j] + yz * fan[2, j]
-                            )
-                            dz = (
-                                zx * fan[0, j] + zy * fan[1, j] + zz * fan[2, j]
-                            )
-                            t[j] = cast_capsule(px, py, pz, dx, dy, dz, a, b)
-                    elif kind == CYLINDER:
-                        for j in range(first, last):
-                            dx = (
-                                xx * fan[0, j] + xy * fan[1, j] + xz * fan[2, j]
-                            )
-                            dy = (
-                                yx * fan[0, j] + yy * fan[1, j] + yz * fan[2, j]
-                            )
-                            dz = (
-                                zx * fan[0, j] + zy * fan[1, j] + zz * fan[2, j]
-                            )
-                            t[j] = cast_cylinder(px, py, pz, dx, dy, dz, a, b)
-                    elif kind == BOX:
-                        for j in range(first, last):
-                            dx = (
-                                xx * fan[0, j] + xy * fan[1, j] + xz * fan[2, j]
-                            )
-                            dy = (
-                                yx * fan[0, j] + yy * fan[1, j] + yz * fan[2, j]
-                            )
-                            dz = (
-                                zx * fan[0, j] + zy * fan[1, j] + zz * fan[2, j]
-                            )
-                            t[j] = cast_box(px, py, pz, dx, dy, dz, a, b, c)
-                    elif kind == HALF_SPACE:
-                        for j in range(first, last):
-                            dz = (
-                                zx * fan[0, j] + zy * fan[1, j] + zz * fan[2, j]
-                            )
-                            t[j] = cast_half_space(pz, dz)
-                    elif kind == ELLIPSOID:
-                        for j in range(first, last):
-                            dx = (
-                                xx * fan[0, j] + xy * fan[1, j] + xz * fan[2, j]
-                            )
-                            dy = (
-                                yx * fan[0, j] + yy * fan[1, j] + yz * fan[2, j]
-                            )
-                            dz = (
-                                zx * fan[0, j] + zy * fan[1, j] + zz * fan[2, j]
-                            )
-                            t[j] = cast_ellipsoid(
-                                px, py, pz, dx, dy, dz, a, b, c
-                            )
-                    elif kind == CONVEX:
-                        for j in range(first, last):
-                            dx = (
-                                xx * fan[0, j] + xy * fan[1, j] + xz * fan[2, j]
-                            )
-                            dy = (
-                                yx * fan[0, j] + yy * fan[1, j] + yz * fan[2, j]
-                            )
-                            dz = (
-                                zx * fan[0, j] + zy * fan[1, j] + zz * fan[2, j]
-                            )
-                            t[j], _ = cast_convex(
-                                planes, part, parts, p_G, dx, dy, dz
-                            )
-                    else:
-                        for j in range(first, last):
-                            dx = (
-                                xx * fan[0, j] + xy * fan[1, j] + xz * fan[2, j]
-                            )
-                            dy = (
-                                yx * fan[0, j] + yy * fan[1, j] + yz * fan[2, j]
-                            )
-                            dz = (
-                                zx * fan[0, j] + zy * fan[1, j] + zz * fan[2, j]
-                            )
-                            # The next number: an equal hit may count.
-                            limit = np.nextafter(best[j], np.inf)
-                            t[j], _ = cast_mesh(
-                                nodes,
-                                triangles,
-                                part,
-                                p_G,
-                                dx,
-                                dy,
-                                dz,
-                                limit,
-                                stack,
-                            )
-                for j in range(first, last):
-                    nearer = (t[j] < best[j]) | (
-                        (t[j] == best[j]) & (s < hit[j])
-                    )
-                    best[j] = t[j] if nearer else best[j]
-                    hit[j] = s if nearer else hit[j]
+        _mark_balls(posed, X_WS, cones, reach, seen[0])
+        count = _find_near(
+            X_WF, scene, active[i], seen, X_WS, cones, reach, near, stack
+        )
+        _cast_near(scene, near, count, fan, cones, reach, rays, stack)
         for j in range(k):
             place = int(fan[3, j])
-            index[i, place] = hit[j]
+            index[i, place] = rays.hit[j]
             # Not -0.0.
-            distance[i, place] = abs(best[j]) if hit[j] >= 0 else np.inf
+            distance[i, place] = (
+                abs(rays.best[j]) if rays.hit[j] >= 0 else np.inf
+            )
     return OK
+
+
+@njit(cache=True, error_model="numpy", forceinline=True)
+def _aim(X_WS, cones):
+    """Returns the axis in the world of the cone around all rays."""
+    ax, ay, az = cones[0, 0], cones[0, 1], cones[0, 2]
+    return (
+        X_WS[0, 0] * ax + X_WS[0, 1] * ay + X_WS[0, 2] * az,
+        X_WS[1, 0] * ax + X_WS[1, 1] * ay + X_WS[1, 2] * az,
+        X_WS[2, 0] * ax + X_WS[2, 1] * ay + X_WS[2, 2] * az,
+    )
+
+
+@njit(cache=True, error_model="numpy", forceinline=True)
+def _mark_balls(posed, X_WS, cones, reach, flags):
+    """Marks the balls that a bundle may see.
+
+    Args:
+        posed: See _pose_balls.
+        X_WS: Pose of the bundle.
+        cones: See cast_bundles.
+        reach: Length of the rays.
+        flags: Written: one for each ball.
+    """
+    ox, oy, oz = X_WS[0, 3], X_WS[1, 3], X_WS[2, 3]
+    ux, uy, uz = _aim(X_WS, cones)
+    cos, sin = max(cones[0, 3], 0.0), cones[0, 4]
+    cos2 = cos * cos
+    floor = 0.0 if cos > 0.0 else -np.inf
+    for b in range(posed.shape[1]):
+        flags[b] = _may_see_ball(
+            posed[0, b] - ox,
+            posed[1, b] - oy,
+            posed[2, b] - oz,
+            posed[3, b],
+            ux,
+            uy,
+            uz,
+            cos2,
+            sin,
+            floor,
+            reach,
+        )
+
+
+@njit(cache=True, error_model="numpy", forceinline=True)
+def _find_near(X_WF, scene, active, seen, X_WS, cones, reach, near, stack):
+    """Finds the shapes that a bundle may see, the nearest first.
+
+    Args:
+        X_WF: See the module.
+        scene: See the module.
+        active: Whether it is cast against shape s, bool, shape (n,).
+        seen: Flags of the balls that it may see, see _make_mask.
+        X_WS: Pose of the bundle.
+        cones: See cast_bundles.
+        reach: Length of the rays.
+        near: Written, see _Near.
+        stack: Scratch space, shape (2, STACK).
+
+    Returns:
+        How many they are.
+    """
+    shapes, balls, planes, nodes, triangles = scene
+    flags, words = seen
+    pending = near.pending
+    ox, oy, oz = X_WS[0, 3], X_WS[1, 3], X_WS[2, 3]
+    far = max(abs(ox), max(abs(oy), abs(oz)))
+    ux, uy, uz = _aim(X_WS, cones)
+    cos, sin = max(cones[0, 3], 0.0), cones[0, 4]
+    cos2 = cos * cos
+    floor = 0.0 if cos > 0.0 else -np.inf
+    count = 0
+    for w in range(words.shape[0]):
+        if words[w] == 0:
+            continue
+        for b in range(8 * w, min(8 * w + 8, int(balls[0, BALL_COUNT]))):
+            if flags[b] == 0:
+                continue
+            pending[0] = 1 + b
+            top = 1
+            while top > 0:
+                top -= 1
+                first = int(balls[pending[top], BALL_FIRST])
+                members = int(balls[pending[top], BALL_COUNT])
+                for c in range(first, first + members):
+                    x, y, z = _pose_ball(X_WF, balls, c)
+                    x, y, z, r = x - ox, y - oy, z - oz, balls[c, BALL_RADIUS]
+                    if _may_see_ball(
+                        x, y, z, r, ux, uy, uz, cos2, sin, floor, reach
+                    ):
+                        pending[top] = c
+                        top += 1
+                if members > 0 or not active[first]:
+                    continue
+                _pose_bundle(
+                    X_WF, shapes, first, X_WS, near.X_WG, near.posed, count
+                )
+                enter = _enter_shape_box(
+                    shapes, first, near.posed, count, cones, 0, reach
+                )
+                if enter == np.inf:
+                    continue
+                if enter == 0.0 and _is_in_shape(
+                    shapes,
+                    planes,
+                    nodes,
+                    triangles,
+                    first,
+                    near.posed[count],
+                    far,
+                    False,
+                    stack,
+                ):
+                    enter = -1.0
+                near.shape[count] = first
+                near.enter[count] = enter
+                near.order[count] = count
+                count += 1
+    _sort(near.order, near.enter, count)
+    return count
+
+
+@njit(cache=True, error_model="numpy", forceinline=True)
+def _cast_near(scene, near, count, fan, cones, reach, rays, stack):
+    """Casts a bundle's rays, group by group, at the shapes it may see.
+
+    Args:
+        scene: See the module.
+        near: See _Near.
+        count: How many shapes are there.
+        fan: See cast_bundles.
+        cones: See cast_bundles.
+        reach: Length of the rays.
+        rays: Written, see _Rays.
+        stack: Scratch space, shape (2, STACK).
+    """
+    shapes, _, planes, nodes, triangles = scene
+    best, hit, t, d = rays
+    groups = cones.shape[0] - 1
+    # A hit at exactly the range counts, hence the next number.
+    best[:] = np.nextafter(reach, np.inf)
+    hit[:] = -1
+    for g in range(1, 1 + groups):
+        # Unsigned: a negative index would count from the end.
+        first, last = np.uint64(cones[g, 5]), np.uint64(cones[g, 6])
+        for o in range(count):
+            q = near.order[o]
+            s = near.shape[q]
+            if near.enter[q] < 0.0:
+                for j in range(first, last):
+                    t[j] = 0.0
+            else:
+                worst = 0.0
+                for j in range(first, last):
+                    worst = max(worst, best[j])
+                if near.enter[q] > worst:
+                    break
+                if groups > 1 and (
+                    _enter_shape_box(shapes, s, near.posed, q, cones, g, worst)
+                    == np.inf
+                ):
+                    continue
+                p = near.posed[q]
+                for j in range(first, last):
+                    x, y, z = fan[0, j], fan[1, j], fan[2, j]
+                    d[0, j] = p[3] * x + p[4] * y + p[5] * z
+                    d[1, j] = p[6] * x + p[7] * y + p[8] * z
+                    d[2, j] = p[9] * x + p[10] * y + p[11] * z
+                if int(shapes[s, KIND]) < CONVEX:
+                    _cast_group(shapes, s, p, d, first, last, t)
+                else:
+                    _cast_group_at_faces(
+                        shapes,
+                        planes,
+                        nodes,
+                        triangles,
+                        s,
+                        p,
+                        d,
+                        first,
+                        last,
+                        best,
+                        t,
+                        stack,
+                    )
+            for j in range(first, last):
+                nearer = (t[j] < best[j]) | ((t[j] == best[j]) & (s < hit[j]))
+                best[j] = t[j] if nearer else best[j]
+                hit[j] = s if nearer else hit[j]
+
+
+@njit(cache=True, error_model="numpy", forceinline=True)
+def _cast_group(shapes, s, p, d, first, last, t):
+    """Casts a group of rays at a primitive shape.
+
+    A loop for each kind: a compiler takes several rays at a time.
+
+    Args:
+        shapes: See the module.
+        s: The shape.
+        p: Common origin of the rays in G, shape (3+,).
+        d: Their directions in G, shape (3, k).
+        first: The first ray.
+        last: The one behind the last.
+        t: Written: their distances, shape (k,).
+    """
+    kind = int(shapes[s, KIND])
+    a, b, c = shapes[s, SIZE], shapes[s, SIZE + 1], shapes[s, SIZE + 2]
+    x, y, z = p[0], p[1], p[2]
+    if kind == SPHERE:
+        for j in range(first, last):
+            t[j] = cast_sphere(x, y, z, d[0, j], d[1, j], d[2, j], a)
+    elif kind == CAPSULE:
+        for j in range(first, last):
+            t[j] = cast_capsule(x, y, z, d[0, j], d[1, j], d[2, j], a, b)
+    elif kind == CYLINDER:
+        for j in range(first, last):
+            t[j] = cast_cylinder(x, y, z, d[0, j], d[1, j], d[2, j], a, b)
+    elif kind == BOX:
+        for j in range(first, last):
+            t[j] = cast_box(x, y, z, d[0, j], d[1, j], d[2, j], a, b, c)
+    elif kind == HALF_SPACE:
+        for j in range(first, last):
+            t[j] = cast_half_space(z, d[2, j])
+    else:
+        for j in range(first, last):
+            t[j] = cast_ellipsoid(x, y, z, d[0, j], d[1, j], d[2, j], a, b, c)
+
+
+@njit(cache=True, error_model="numpy", forceinline=True)
+def _cast_group_at_faces(
+    shapes, planes, nodes, triangles, s, p, d, first, last, best, t, stack
+):
+    """Casts a group of rays at a polytope or mesh.
+
+    Args:
+        shapes: See the module.
+        planes: See the module.
+        nodes: See the module.
+        triangles: See the module.
+        s: The shape.
+        p: Common origin of the rays in G, shape (3+,).
+        d: Their directions in G, shape (3, k).
+        first: The first ray.
+        last: The one behind the last.
+        best: What is farther does not count, shape (k,).
+        t: Written: their distances, shape (k,).
+        stack: Scratch space, shape (2, STACK).
+    """
+    part, parts = int(shapes[s, DATA]), int(shapes[s, DATA + 1])
+    if int(shapes[s, KIND]) == CONVEX:
+        for j in range(first, last):
+            t[j], _ = cast_convex(
+                planes, part, parts, p, d[0, j], d[1, j], d[2, j]
+            )
+        return
+    for j in range(first, last):
+        # The next number: an equal hit may count.
+        limit = np.nextafter(best[j], np.inf)
+        x, y, z = d[0, j], d[1, j], d[2, j]
+        t[j], _ = cast_mesh(nodes, triangles, part, p, x, y, z, limit, stack)
 
 
 @njit(cache=True, error_model="numpy")
@@ -677,16 +717,73 @@ def _rotate(X_WG, s, axis, x, y, z, ex, ey, ez):
 
 
 @njit(cache=True, error_model="numpy")
-def cast_rays(X_WF, scene, active, p_WR, n_WR, reach):
+def _leave_shape(shapes, planes, s, p, dx, dy, dz, far):
+    """Returns where a ray that starts inside of shape s gets out.
+
+    0 if it starts on the surface, give or take rounding. Not for meshes,
+    whose triangles are seen from both sides.
+    """
+    kind = int(shapes[s, KIND])
+    a, b, c = shapes[s, SIZE], shapes[s, SIZE + 1], shapes[s, SIZE + 2]
+    part, parts = int(shapes[s, DATA]), int(shapes[s, DATA + 1])
+    within = ON * max(far, max(a, max(b, c)))
+    if kind == CONVEX:
+        if is_inside_convex(planes, part, parts, p, within):
+            return leave_convex(planes, part, parts, p, dx, dy, dz)[0]
+        return 0.0
+    if kind == HALF_SPACE:
+        is_deep = p[2] <= -within
+    else:
+        is_deep = is_in_primitive(
+            kind, p[0], p[1], p[2], a - within, b - within, c - within
+        )
+    if not is_deep:
+        return 0.0
+    return leave_primitive(kind, p[0], p[1], p[2], dx, dy, dz, a, b, c)
+
+
+@njit(cache=True, error_model="numpy", forceinline=True)
+def _is_in_shape(shapes, planes, nodes, triangles, s, p, far, hollow, stack):
+    """Returns whether a point in G is in shape s or on its surface.
+
+    Args:
+        shapes: See the module.
+        planes: See the module.
+        nodes: See the module.
+        triangles: See the module.
+        s: The shape.
+        p: The point, shape (3,).
+        far: Its largest coordinate in the world.
+        hollow: Whether meshes have no inside.
+        stack: Scratch space, shape (2, STACK).
+    """
+    x, y, z = p[0], p[1], p[2]
+    if not _is_in_box(shapes, s, x, y, z):
+        return False
+    kind = int(shapes[s, KIND])
+    part, parts = int(shapes[s, DATA]), int(shapes[s, DATA + 1])
+    if kind == CONVEX:
+        return is_inside_convex(planes, part, parts, p, 0.0)
+    if kind == MESH:
+        solid = -1 if hollow else parts
+        return is_in_mesh(nodes, triangles, part, solid, p, far, stack)
+    a, b, c = shapes[s, SIZE], shapes[s, SIZE + 1], shapes[s, SIZE + 2]
+    return is_in_primitive(kind, x, y, z, a, b, c)
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def cast_rays(X_WF, scene, active, row, p_WR, n_WR, max_range, hollow):
     """Casts rays, each with its own origin; see RayCaster.cast.
 
     Args:
         X_WF: See the module.
         scene: See the module.
-        active: Whether shape s is cast against, bool, shape (n,).
+        active: Whether shape s is cast against, bool, shape (groups, n).
+        row: Which row of `active` is a ray's, int64, shape (rays,).
         p_WR: Origins, shape (rays, 3).
         n_WR: Directions, shape (rays, 3), unit vectors to 1e-6.
-        reach: Range of all rays.
+        max_range: Range of each ray, shape (rays,).
+        hollow: Whether shapes have no inside.
 
     Returns:
         (status, distance (rays,), index (rays,)).
@@ -706,7 +803,6 @@ def cast_rays(X_WF, scene, active, p_WR, n_WR, reach):
     is_posed = np.zeros(n, dtype=np.bool_)
     p = np.empty(3)
     stack = np.empty((2, STACK))
-    limit = np.nextafter(reach, np.inf)
     for i in range(rays):
         ox, oy, oz = p_WR[i, 0], p_WR[i, 1], p_WR[i, 2]
         ex, ey, ez = n_WR[i, 0], n_WR[i, 1], n_WR[i, 2]
@@ -717,6 +813,7 @@ def cast_rays(X_WF, scene, active, p_WR, n_WR, reach):
             return BAD_RAY, distance, index
         ex, ey, ez = ex / length, ey / length, ez / length
         far = max(abs(ox), max(abs(oy), abs(oz)))
+        reach = max_range[i]
         for b in range(num_balls):
             flags[b] = _may_hit_ball(
                 posed[0, b] - ox,
@@ -728,7 +825,8 @@ def cast_rays(X_WF, scene, active, p_WR, n_WR, reach):
                 ez,
                 reach,
             )
-        best = limit
+        # A hit at exactly the range counts, hence the next number.
+        best = np.nextafter(reach, np.inf)
         hit = -1
         for w in range(words.shape[0]):
             if words[w] == 0:
@@ -759,13 +857,11 @@ def cast_rays(X_WF, scene, active, p_WR, n_WR, reach):
                                 pending[top] = c
                                 top += 1
                         continue
-                    if not active[s]:
+                    if not active[row[i], s]:
                         continue
                     if not is_posed[s]:
                         _compose(X_WF, int(shapes[s, FRAME]), shapes, s, X)
-                        for row in range(3):
-                            for column in range(4):
-                                X_WG[s, row, column] = X[row, column]
+                        X_WG[s] = X
                         is_posed[s] = True
                     x = ox - X_WG[s, 0, 3]
                     y = oy - X_WG[s, 1, 3]
@@ -801,7 +897,7 @@ def cast_rays(X_WF, scene, active, p_WR, n_WR, reach):
                     elif kind == CONVEX:
                         p[0], p[1], p[2] = px, py, pz
                         if may_be_inside and is_inside_convex(
-                            planes, part, parts, p
+                            planes, part, parts, p, 0.0
                         ):
                             t = 0.0
                         else:
@@ -810,8 +906,9 @@ def cast_rays(X_WF, scene, active, p_WR, n_WR, reach):
                             )
                     else:
                         p[0], p[1], p[2] = px, py, pz
+                        solid = -1 if hollow else parts
                         if may_be_inside and is_in_mesh(
-                            nodes, triangles, part, parts, p, far, stack
+                            nodes, triangles, part, solid, p, far, stack
                         ):
                             t = 0.0
                         else:
@@ -827,6 +924,9 @@ def cast_rays(X_WF, scene, active, p_WR, n_WR, reach):
                                 np.nextafter(best, np.inf),
                                 stack,
                             )
+                    if hollow and t == 0.0 and kind != MESH:
+                        p[0], p[1], p[2] = px, py, pz
+                        t = _leave_shape(shapes, planes, s, p, dx, dy, dz, far)
                     if t < best or (t == best and s < hit):
                         best = t
                         hit = s
@@ -851,7 +951,7 @@ def _find_triangle_normal(triangles, i, dx, dy, dz):
     return x, y, z
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", nogil=True)
 def calc_normals(X_WF, scene, p_WR, n_WR, distance, index):
     """Returns the surface normals at hits; see RayCaster.calc_normals.
 
@@ -882,34 +982,59 @@ def calc_normals(X_WF, scene, p_WR, n_WR, distance, index):
         dx = X[0, 0] * n_WR[i, 0] + X[1, 0] * n_WR[i, 1] + X[2, 0] * n_WR[i, 2]
         dy = X[0, 1] * n_WR[i, 0] + X[1, 1] * n_WR[i, 1] + X[2, 1] * n_WR[i, 2]
         dz = X[0, 2] * n_WR[i, 0] + X[1, 2] * n_WR[i, 1] + X[2, 2] * n_WR[i, 2]
-        kind = int(shapes[s, KIND])
-        first, last = int(shapes[s, DATA]), int(shapes[s, DATA + 1])
-        if kind == CONVEX:
-            _, part = cast_convex(planes, first, last, p, dx, dy, dz)
-            if part < 0:
-                continue
-            x, y, z = planes[part, 0], planes[part, 1], planes[part, 2]
-        elif kind == MESH:
-            _, part = cast_mesh(
-                nodes, triangles, first, p, dx, dy, dz, np.inf, stack
-            )
-            if part < 0:
-                continue
-            x, y, z = _find_triangle_normal(triangles, part, dx, dy, dz)
-        else:
-            x, y, z = find_normal(
-                kind,
-                shapes[s, SIZE],
-                shapes[s, SIZE + 1],
-                shapes[s, SIZE + 2],
-                p[0] + t * dx,
-                p[1] + t * dy,
-                p[2] + t * dz,
-                dx,
-                dy,
-                dz,
-            )
+        x, y, z = _find_hit_normal(
+            shapes, planes, nodes, triangles, s, p, dx, dy, dz, t, stack
+        )
         length = np.sqrt(x * x + y * y + z * z)
         for j in range(3):
             normals[i, j] = (X[j, 0] * x + X[j, 1] * y + X[j, 2] * z) / length
     return normals
+
+
+@njit(cache=True, error_model="numpy", forceinline=True)
+def _find_hit_normal(
+    shapes, planes, nodes, triangles, s, p, dx, dy, dz, t, stack
+):
+    """Returns the direction of a shape's normal, in G, that faces a ray.
+
+    NaN if there is no hit. A ray that starts inside of a shape but for
+    meshes, and hits it farther on, comes out of it there.
+    """
+    kind = int(shapes[s, KIND])
+    part, parts = int(shapes[s, DATA]), int(shapes[s, DATA + 1])
+    if kind == MESH:
+        _, found = cast_mesh(
+            nodes, triangles, part, p, dx, dy, dz, np.inf, stack
+        )
+        if found < 0:
+            return np.nan, np.nan, np.nan
+        return _find_triangle_normal(triangles, found, dx, dy, dz)
+    side = (
+        -1.0
+        if _is_in_shape(
+            shapes, planes, nodes, triangles, s, p, 0.0, True, stack
+        )
+        else 1.0
+    )
+    if kind == CONVEX:
+        if side < 0.0:
+            _, found = leave_convex(planes, part, parts, p, dx, dy, dz)
+        else:
+            _, found = cast_convex(planes, part, parts, p, dx, dy, dz)
+        if found < 0:
+            return np.nan, np.nan, np.nan
+        x, y, z = planes[found, 0], planes[found, 1], planes[found, 2]
+    else:
+        x, y, z = find_normal(
+            kind,
+            shapes[s, SIZE],
+            shapes[s, SIZE + 1],
+            shapes[s, SIZE + 2],
+            p[0] + t * dx,
+            p[1] + t * dy,
+            p[2] + t * dz,
+            side * dx,
+            side * dy,
+            side * dz,
+        )
+    return side * x, side * y, side * z

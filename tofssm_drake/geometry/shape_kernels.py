@@ -170,6 +170,52 @@ def cast_primitive(kind, px, py, pz, dx, dy, dz, a, b, c):
 
 
 @njit(cache=True, error_model="numpy")
+def leave_primitive(kind, px, py, pz, dx, dy, dz, a, b, c):
+    """Returns the distance at which a ray that starts inside gets out."""
+    if kind == SPHERE:
+        return _leave_sphere(px, py, pz, dx, dy, dz, a)
+    if kind == CAPSULE:
+        # Of the tube between the ends, and of the ends.
+        t = _leave_cylinder(px, py, pz, dx, dy, dz, a, b)
+        t = max(t, _leave_sphere(px, py, pz - b, dx, dy, dz, a))
+        return max(t, _leave_sphere(px, py, pz + b, dx, dy, dz, a))
+    if kind == CYLINDER:
+        return _leave_cylinder(px, py, pz, dx, dy, dz, a, b)
+    if kind == BOX:
+        _, leave = _clip_slab(px, dx, a, 0.0, np.inf)
+        _, leave = _clip_slab(py, dy, b, 0.0, leave)
+        _, leave = _clip_slab(pz, dz, c, 0.0, leave)
+        return max(leave, 0.0)
+    if kind == HALF_SPACE:
+        return -pz / dz if dz > 0.0 else np.inf
+    ex, ey, ez = dx / a, dy / b, dz / c
+    scale = np.sqrt(ex * ex + ey * ey + ez * ez)
+    t = _leave_sphere(
+        px / a, py / b, pz / c, ex / scale, ey / scale, ez / scale, 1.0
+    )
+    return t / scale
+
+
+@njit(cache=True, error_model="numpy")
+def _leave_sphere(px, py, pz, dx, dy, dz, radius):
+    """Returns where a ray leaves a sphere about the origin, 0 if never."""
+    along = -(px * dx + py * dy + pz * dz)
+    qx, qy, qz = px + along * dx, py + along * dy, pz + along * dz
+    rest = radius * radius - (qx * qx + qy * qy + qz * qz)
+    return max(along + np.sqrt(rest), 0.0) if rest >= 0.0 else 0.0
+
+
+@njit(cache=True, error_model="numpy")
+def _leave_cylinder(px, py, pz, dx, dy, dz, radius, half):
+    """Returns where a ray leaves a cylinder along z, 0 if never."""
+    enter, leave = _clip_slab(pz, dz, half, 0.0, np.inf)
+    first, last, hits, parallel = _clip_tube(px, py, dx, dy, radius)
+    enter = enter if parallel else max(enter, first)
+    leave = leave if parallel else min(leave, last)
+    return max(leave, 0.0) if hits & (enter <= leave) else 0.0
+
+
+@njit(cache=True, error_model="numpy")
 def find_normal(kind, a, b, c, x, y, z, dx, dy, dz):
     """Returns the direction of a primitive's normal at (x, y, z), in G.
 

@@ -49,62 +49,90 @@ def make_triangle_tree(vertices: np.ndarray, faces: np.ndarray) -> TriangleTree:
 
 
 @njit(cache=True, error_model="numpy")
-def _half_area(low, high):
-    x, y, z = high[0] - low[0], high[1] - low[1], high[2] - low[2]
+def _half_area(box):
+    x, y, z = box[3] - box[0], box[4] - box[1], box[5] - box[2]
     return x * y + y * z + z * x
 
 
 @njit(cache=True, error_model="numpy")
-def _find_split(low, high, centre, order, start, end):
-    """Returns (axis, plane) of the cheapest split, axis -1 if there is none.
+def _bin_centres(low, high, centre, order, start, end, bins):
+    """Sorts triangles into equal bins along each axis.
 
-    The surface area heuristic over equal bins of the triangles' centres.
+    Args:
+        low: Lower corners of the triangles' boxes, shape (n, 3).
+        high: Upper corners.
+        centre: Their centres.
+        order: Which triangles there are, from start to end.
+        start: See `order`.
+        end: See `order`.
+        bins: Written: per axis and bin the number of triangles, and their
+            box, shape (3, _BINS, 7).
+
+    Returns:
+        (first, scale): for each axis the least centre, and bins per metre, 0
+        if all centres are in one plane; shape (3,).
     """
-    best_axis, best_plane, best_cost = -1, 0.0, np.inf
+    first, last = np.full(3, np.inf), np.full(3, -np.inf)
+    for i in range(start, end):
+        k = order[i]
+        for axis in range(3):
+            first[axis] = min(first[axis], centre[k, axis])
+            last[axis] = max(last[axis], centre[k, axis])
+    scale = np.zeros(3)
     for axis in range(3):
-        first, last = np.inf, -np.inf
-        for i in range(start, end):
-            first = min(first, centre[order[i], axis])
-            last = max(last, centre[order[i], axis])
-        if not last > first:
+        if last[axis] > first[axis]:
+            scale[axis] = _BINS / (last[axis] - first[axis])
+    bins[:, :, 0] = 0.0
+    bins[:, :, 1:4] = np.inf
+    bins[:, :, 4:] = -np.inf
+    for i in range(start, end):
+        k = order[i]
+        for axis in range(3):
+            b = min(
+                int((centre[k, axis] - first[axis]) * scale[axis]), _BINS - 1
+            )
+            bins[axis, b, 0] += 1.0
+            for j in range(3):
+                bins[axis, b, 1 + j] = min(bins[axis, b, 1 + j], low[k, j])
+                bins[axis, b, 4 + j] = max(bins[axis, b, 4 + j], high[k, j])
+    return first, scale
+
+
+@njit(cache=True, error_model="numpy")
+def _sweep(bins, right, box):
+    """Returns (bin, cost) of the cheapest split behind a bin, -1 if none.
+
+    The surface area heuristic.
+
+    Args:
+        bins: Of one axis, see `_bin_centres`, shape (_BINS, 7).
+        right: Scratch space, shape (_BINS,).
+        box: Scratch space, shape (6,).
+    """
+    right[:] = np.inf
+    box[:3], box[3:] = np.inf, -np.inf
+    total = 0.0
+    for b in range(_BINS - 1, 0, -1):
+        total += bins[b, 0]
+        for j in range(3):
+            box[j] = min(box[j], bins[b, 1 + j])
+            box[3 + j] = max(box[3 + j], bins[b, 4 + j])
+        if total > 0.0:
+            right[b] = total * _half_area(box)
+    box[:3], box[3:] = np.inf, -np.inf
+    total = 0.0
+    best, best_cost = -1, np.inf
+    for b in range(_BINS - 1):
+        total += bins[b, 0]
+        for j in range(3):
+            box[j] = min(box[j], bins[b, 1 + j])
+            box[3 + j] = max(box[3 + j], bins[b, 4 + j])
+        if total == 0.0:
             continue
-        count = np.zeros(_BINS, dtype=np.int64)
-        bin_low = np.full((_BINS, 3), np.inf)
-        bin_high = np.full((_BINS, 3), -np.inf)
-        scale = _BINS / (last - first)
-        for i in range(start, end):
-            k = order[i]
-            b = min(int((centre[k, axis] - first) * scale), _BINS - 1)
-            count[b] += 1
-            for j in range(3):
-                bin_low[b, j] = min(bin_low[b, j], low[k, j])
-                bin_high[b, j] = max(bin_high[b, j], high[k, j])
-        right = np.full(_BINS, np.inf)
-        box_low, box_high = np.full(3, np.inf), np.full(3, -np.inf)
-        total = 0
-        for b in range(_BINS - 1, 0, -1):
-            total += count[b]
-            for j in range(3):
-                box_low[j] = min(box_low[j], bin_low[b, j])
-                box_high[j] = max(box_high[j], bin_high[b, j])
-            if total > 0:
-                right[b] = total * _half_area(box_low, box_high)
-        box_low[:] = np.inf
-        box_high[:] = -np.inf
-        total = 0
-        for b in range(_BINS - 1):
-            total += count[b]
-            for j in range(3):
-                box_low[j] = min(box_low[j], bin_low[b, j])
-                box_high[j] = max(box_high[j], bin_high[b, j])
-            if total == 0:
-                continue
-            cost = total * _half_area(box_low, box_high) + right[b + 1]
-            if cost < best_cost:
-                best_axis = axis
-                best_plane = first + (b + 1) / scale
-                best_cost = cost
-    return best_axis, best_plane
+        cost = total * _half_area(box) + right[b + 1]
+        if cost < best_cost:
+            best, best_cost = b, cost
+    return best, best_cost
 
 
 @njit(cache=True, error_model="numpy")
@@ -117,30 +145,24 @@ def _build_tree(low, high, centre):
     starts = np.empty(2 * n, dtype=np.int64)
     ends = np.empty(2 * n, dtype=np.int64)
     depth = np.zeros(2 * n, dtype=np.int64)
+    bins = np.empty((3, _BINS, 7))
+    right, box = np.empty(_BINS), np.empty(6)
     starts[0], ends[0] = 0, n
     used = 1
     node = 0
     while node < used:
         start, end = starts[node], ends[node]
-        for j in range(3):
-            bounds[node, j] = np.inf
-            bounds[node, 3 + j] = -np.inf
-        for i in range(start, end):
-            for j in range(3):
-                bounds[node, j] = min(bounds[node, j], low[order[i], j])
-                bounds[node, 3 + j] = max(
-                    bounds[node, 3 + j], high[order[i], j]
-                )
+        _bound(low, high, order, start, end, bounds[node])
         links[node, 0], links[node, 1] = start, end - start
         if end - start > _LEAF_SIZE:
-            axis, plane, middle = -1, 0.0, start
+            middle = start
             if depth[node] < _DEEP:
-                axis, plane = _find_split(low, high, centre, order, start, end)
-            if axis >= 0:
-                for i in range(start, end):
-                    if centre[order[i], axis] < plane:
-                        order[i], order[middle] = order[middle], order[i]
-                        middle += 1
+                first, scale = _bin_centres(
+                    low, high, centre, order, start, end, bins
+                )
+                middle = _split(
+                    centre, order, start, end, first, scale, bins, right, box
+                )
             if middle == start or middle == end:
                 # No plane parts the centres: halve the list as it is.
                 middle = (start + end) // 2
@@ -151,3 +173,36 @@ def _build_tree(low, high, centre):
             used += 2
         node += 1
     return order, bounds[:used].copy(), links[:used].copy()
+
+
+@njit(cache=True, error_model="numpy")
+def _bound(low, high, order, start, end, bounds):
+    """Writes the box around triangles."""
+    bounds[:3], bounds[3:] = np.inf, -np.inf
+    for i in range(start, end):
+        for j in range(3):
+            bounds[j] = min(bounds[j], low[order[i], j])
+            bounds[3 + j] = max(bounds[3 + j], high[order[i], j])
+
+
+@njit(cache=True, error_model="numpy")
+def _split(centre, order, start, end, first, scale, bins, right, box):
+    """Sorts triangles to either side of the cheapest plane.
+
+    Returns where the second side begins; the start if no plane parts them.
+    """
+    best_axis, best_plane, best_cost = -1, 0.0, np.inf
+    for axis in range(3):
+        if scale[axis] == 0.0:
+            continue
+        b, cost = _sweep(bins[axis], right, box)
+        if cost < best_cost:
+            best_axis, best_cost = axis, cost
+            best_plane = first[axis] + (b + 1) / scale[axis]
+    middle = start
+    if best_axis >= 0:
+        for i in range(start, end):
+            if centre[order[i], best_axis] < best_plane:
+                order[i], order[middle] = order[middle], order[i]
+                middle += 1
+    return middle

@@ -1,6 +1,6 @@
 """Universal Robots' own UR10 meshes in place of the primitive shapes.
 
-Needs the optional extra `meshes` (example-robot-data, trimesh, pycollada).
+Needs the optional extra `meshes` (example-robot-data).
 Nothing is written to disk: the package's STL files become OBJ (what sensors
 see), its COLLADA files become glTF (what a person sees), both in memory.
 Distances between robot and human keep the capsules: they are closed-form and
@@ -25,6 +25,7 @@ from pydrake.geometry import (
 )
 from pydrake.math import RigidTransform, RollPitchYaw
 from pydrake.multibody.plant import MultibodyPlant
+import trimesh
 
 from tofssm_drake.errors import UserError
 
@@ -38,18 +39,6 @@ _LINKS = {
     "wrist_2_link": "wrist_2_link",
     "wrist_3_link": "wrist_3_link",
 }
-
-
-def _import_trimesh():
-    try:
-        import collada  # noqa: F401
-        import trimesh
-    except ImportError as error:
-        raise UserError(
-            "robot_meshes: needs the optional extra, pip install "
-            f"'tofssm-drake[meshes]' (no module named {error.name})"
-        ) from None
-    return trimesh
 
 
 @functools.cache
@@ -144,7 +133,6 @@ def read_collision_mesh(link: str, X_LM: RigidTransform):
         link: Name of the link in this project's model.
         X_LM: Pose of the mesh in the link.
     """
-    trimesh = _import_trimesh()
     mesh = trimesh.load(_find_mesh_files()[link][0])
     mesh.merge_vertices()
     mesh.apply_transform(X_LM.GetAsMatrix4())
@@ -165,7 +153,6 @@ def _make_obj(mesh, name: str) -> Mesh:
 
 
 def _make_gltf(link: str, X_LM: RigidTransform) -> Mesh:
-    trimesh = _import_trimesh()
     scene = trimesh.load(_find_mesh_files()[link][1], force="scene")
     scene.apply_transform(X_LM.GetAsMatrix4())
     # glTF is y-up: a reader turns it by +90 deg about x.
@@ -201,7 +188,6 @@ def replace_robot_shapes(
     Raises:
         UserError: If the optional extra is not installed.
     """
-    _import_trimesh()
     find_ur10_urdf()
     source_id = plant.get_source_id()
     inspector = scene_graph.model_inspector()
