@@ -11,10 +11,7 @@ from pydrake.systems.framework import Context
 
 from tofssm_drake.diagrams.hardware_station import make_hardware_station
 from tofssm_drake.diagrams.scenario import Scenario, make_law
-from tofssm_drake.diagrams.simulation import (
-    find_binding_objects,
-    make_simulator,
-)
+from tofssm_drake.diagrams.simulation import make_simulator
 from tofssm_drake.diagrams.workcell import Workcell, make_workcell
 from tofssm_drake.hardware.held_connections import HeldRings, HeldRobot
 from tofssm_drake.hardware.slider import (
@@ -182,7 +179,6 @@ class _Ticker:
                 "clock_offset"
             ).FixValue(self._ring_context, [0.0])
         self._initialized = False
-        self._held = find_binding_objects(workcell.diagram, root)
 
     def tick(self, given: TickInput) -> tuple[SliderState, str]:
         """Computes and publishes; returns slider and `TickResult.problem`.
