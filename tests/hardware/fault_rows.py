@@ -32,6 +32,8 @@ from tofssm_drake.sensing.vl53l1x import STATUS_VALID
 # Who sees the person: a sensor that sees nothing of robot and cell meanwhile.
 RING, SENSOR = "tool", 0
 OTHER = 5
+# Whose beam hits the robot's own arm nearly all of the time, in each ring.
+SEES_ROBOT = 2
 # Where somebody is when a fault befalls a stop, m from the sensor, and how
 # long after a fault somebody comes in sight, s.
 NEAR = 0.6
@@ -39,7 +41,7 @@ DELAY = 0.1
 # A robot that has stood still for so long, s, is taken to stay there; beside
 # a person it is watched for longer, s.
 LINGER = 0.1
-WATCHED = 1.2
+WATCHED = 1.0
 # The arm stands still by then, ms after the fault, if the fault alone does
 # not stop it: somebody has come within d_C, and the law's ramp is over.
 HELD_LIMIT = 120.0
@@ -246,6 +248,12 @@ _MISPLACED = {
     "why": "what it sees of the robot may slow it, but is no fault; a person "
     "counts",
 }
+_BLIND_TO_THE_ROBOT = {
+    "open": (Moment.ALONE,),
+    "finder": SELF_HIT,
+    "says": _FOUND,
+    "why": "this sensor sees the robot most of the time",
+}
 _NOTHING_THERE = "a sensor that repeats that nothing is there proves nothing"
 _GLITCH = {
     "why": "each glitch stops the robot for a moment, and is over",
@@ -268,15 +276,14 @@ def _ring(kind, says="", still=math.inf, *, ring=RING, **more) -> Row:
 
 
 def _sensor(
-    kind, says="", still=math.inf, *, where=((RING, (SENSOR,)),), **more
+    kind, says="", still=math.inf, *, ring=RING, sensors=(SENSOR,), **more
 ) -> Row:
     """Returns a fault of one sensor, or of two."""
-    ((ring, sensors),) = where
     who = "sensor" if len(sensors) == 1 else "two sensors"
+    where = f" of {ring}, number {sensors[0]}"
+    is_usual = ring == RING and sensors[0] == SENSOR
     return Row(
-        name=f"{who} `{kind}`"
-        + (f" of {ring}" if ring != RING else "")
-        + f": {FAULTS[kind]}",
+        name=f"{who} `{kind}`{'' if is_usual else where}: {FAULTS[kind]}",
         act=_inject(kind, ring, *sensors),
         says=says,
         zero=still,
@@ -415,7 +422,7 @@ RING_ROWS: tuple[Row, ...] = (
 """Faults of rings and of their links."""
 
 _ONE = "tool is faulted, sensor 0: "
-_TWO = ((RING, (SENSOR, OTHER)),)
+_TWO = (SENSOR, OTHER)
 
 SENSOR_ROWS: tuple[Row, ...] = (
     _sensor(
@@ -431,7 +438,8 @@ SENSOR_ROWS: tuple[Row, ...] = (
         "bus",
         "base is faulted, sensor 4: bus",
         _FAULT_TIME,
-        where=(("base", (4,)),),
+        ring="base",
+        sensors=(4,),
     ),
     _sensor("status1", f"{_ONE}sigma", 475),
     _sensor("status2", **_EMPTY),
@@ -454,15 +462,21 @@ SENSOR_ROWS: tuple[Row, ...] = (
     _sensor("stuck100", "tool at 0.1", _RAMP),
     _sensor("stuck300", "tool at 0.3", _RAMP),
     _sensor("stuck500", "tool at 0.5", _RAMP),
-    _sensor("stuck0", "tool at 0.0", _RAMP, where=_TWO),
-    _sensor("stuck27", "tool at 0.0", _RAMP, where=_TWO),
-    _sensor("stuck100", "tool at 0.1", _RAMP, where=_TWO),
-    _sensor("stuck300", "tool at 0.3", _RAMP, where=_TWO),
-    _sensor("stuck500", "tool at 0.5", _RAMP, where=_TWO),
+    _sensor("stuck0", "tool at 0.0", _RAMP, sensors=_TWO),
+    _sensor("stuck27", "tool at 0.0", _RAMP, sensors=_TWO),
+    _sensor("stuck100", "tool at 0.1", _RAMP, sensors=_TWO),
+    _sensor("stuck300", "tool at 0.3", _RAMP, sensors=_TWO),
+    _sensor("stuck500", "tool at 0.5", _RAMP, sensors=_TWO),
     _sensor("far", _ONE, _FAULT_TIME),
     _sensor("old", f"{_ONE}late", _FAULT_TIME),
     _sensor("glitch", **_GLITCH),
     _sensor("blind", **_EMPTY),
+    *(
+        _sensor(
+            "blind", ring=ring, sensors=(SEES_ROBOT,), **_BLIND_TO_THE_ROBOT
+        )
+        for ring in RINGS
+    ),
     _sensor("slow48", _PERIOD, 650),
     _sensor("slow72", _PERIOD, 560),
     _sensor("slow100", _PERIOD, 510),
