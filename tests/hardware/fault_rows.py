@@ -225,7 +225,7 @@ def _turn(ring: str, degrees: float) -> Callable[[Cell], None]:
     return _mount(ring, RigidTransform(R, [0.0, 0.0, 0.0]))
 
 
-SELF_HIT = "found by the self-hit watch"
+SELF_HIT = "to be found by the self-hit watch"
 _FOUND = "self-hit|misplaced"
 _EACH = tuple(Moment)
 # 0.4 s are the law's ramp from full speed; then there is a frame to wait for
@@ -240,13 +240,23 @@ _EMPTY = {
     "says": _FOUND,
     "why": "looks like an empty room",
 }
-# The robot goes on at its own phantoms' mercy; a person still counts.
 _MISPLACED = {
     "open": (Moment.ALONE,),
     "finder": SELF_HIT,
     "says": _FOUND,
     "why": "what it sees of the robot may slow it, but is no fault; a person "
     "counts",
+}
+# A sensor that sees nothing of the robot proves nothing by its silence.
+_UNPROVEN = {
+    "finder": "this sensor never sees the robot in the default task: a check "
+    "motion must show it something",
+    "says": _FOUND,
+}
+_EMPTY_ONE = _UNPROVEN | {"open": _EACH, "why": "looks like an empty room"}
+_WRONG_ONE = _UNPROVEN | {
+    "open": (Moment.ALONE,),
+    "why": "a person counts, but as farther away",
 }
 _BLIND_TO_THE_ROBOT = {
     "open": (Moment.ALONE,),
@@ -428,9 +438,8 @@ SENSOR_ROWS: tuple[Row, ...] = (
     _sensor(
         "frozen",
         open=(Moment.ALONE, Moment.COMES),
-        finder=SELF_HIT,
-        says=_FOUND,
         why=_NOTHING_THERE,
+        **_UNPROVEN,
     ),
     _sensor("implausible", _ONE, _FAULT_TIME),
     _sensor("bus", f"{_ONE}bus", _FAULT_TIME),
@@ -442,12 +451,12 @@ SENSOR_ROWS: tuple[Row, ...] = (
         sensors=(4,),
     ),
     _sensor("status1", f"{_ONE}sigma", 475),
-    _sensor("status2", **_EMPTY),
+    _sensor("status2", **_EMPTY_ONE),
     _sensor("status3", "tool at 0.0", _RAMP),
-    _sensor("status4", **_EMPTY),
+    _sensor("status4", **_EMPTY_ONE),
     _sensor("status5", f"{_ONE}hardware", _FAULT_TIME),
     _sensor("status6", f"{_ONE}sigma", 475),
-    _sensor("status7", **_EMPTY),
+    _sensor("status7", **_EMPTY_ONE),
     _sensor("status8", f"{_ONE}hardware", _FAULT_TIME),
     _sensor("status9", f"{_ONE}sigma", 475),
     _sensor("status12", f"{_ONE}sigma", 475),
@@ -470,7 +479,7 @@ SENSOR_ROWS: tuple[Row, ...] = (
     _sensor("far", _ONE, _FAULT_TIME),
     _sensor("old", f"{_ONE}late", _FAULT_TIME),
     _sensor("glitch", **_GLITCH),
-    _sensor("blind", **_EMPTY),
+    _sensor("blind", **_EMPTY_ONE),
     *(
         _sensor(
             "blind", ring=ring, sensors=(SEES_ROBOT,), **_BLIND_TO_THE_ROBOT
@@ -480,8 +489,8 @@ SENSOR_ROWS: tuple[Row, ...] = (
     _sensor("slow48", _PERIOD, 650),
     _sensor("slow72", _PERIOD, 560),
     _sensor("slow100", _PERIOD, 510),
-    _sensor("gain", **_MISPLACED),
-    _sensor("offset", **_MISPLACED),
+    _sensor("gain", **_WRONG_ONE),
+    _sensor("offset", **_WRONG_ONE),
 )
 """Faults of single sensors: of the one that sees the person."""
 

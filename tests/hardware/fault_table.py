@@ -128,7 +128,7 @@ class Table:
         self._rows: dict[str, list] = {}
 
     def add(self, fault, seen, note=""):
-        """Adds one measurement: a `Seen` or `Times`."""
+        """Adds one measurement, a `Seen`."""
         self._rows.setdefault(fault, []).append((seen.zero, seen.still, note))
         print(
             f"{fault}: 0 after {seen.zero:.3f} s, still after "
