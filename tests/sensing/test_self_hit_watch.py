@@ -45,7 +45,7 @@ from tofssm_drake.sensing.vl53l1x import (
 )
 
 # From look to look, s.
-PERIOD = 0.048
+PERIOD = 0.072
 SENSORS = 24
 
 

@@ -8,7 +8,7 @@ from tofssm_drake.sensing.self_hits import make_no_expectation, must_see
 
 
 def calc_verifiable_share(
-    model: SelfHitModel, path: ProgramPath, *, step: float = 0.05
+    model: SelfHitModel, path: ProgramPath, *, step: float = 0.1
 ) -> np.ndarray:
     """Returns the part of a task in which each sensor must see the robot.
 

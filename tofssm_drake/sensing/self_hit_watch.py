@@ -94,8 +94,10 @@ class SelfHitModel:
     believed: RayBundles
     """Rays of all rings' sensors as the model has them."""
     misfits: tuple[Misfit, ...]
-    bundles: tuple[RayBundles, ...]
-    """Rays of all rings' sensors for each misfit."""
+    """Those of single rings first."""
+    moved: RayBundles | None
+    """Rays of the ring that is moved, misfit by misfit; None: there are no
+    misfits of single rings. They are cast in one go."""
     orders: np.ndarray
     """See `make_orders`."""
     swaps: np.ndarray
@@ -118,6 +120,17 @@ def move_mount(mount: RingMount, turn: float, shift: float) -> list:
     X_FL = mount.X_FS[0] @ mount.X_LS[0].inverse()
     X_LL = RigidTransform(RotationMatrix.MakeZRotation(turn), [0, 0, shift])
     return [X_FL @ X_LL @ X_LS for X_LS in mount.X_LS]
+
+
+def _make_bundles(caster, fan_S, max_range, rings):
+    """Returns rays of rings, each a mount and the poses of its sensors."""
+    return caster.make_bundles(
+        frame_id=[mount.frame_id for mount, X in rings for _ in X],
+        X_FS=[X_FS for _, X in rings for X_FS in X],
+        fan_S=fan_S,
+        max_range=max_range,
+        excluded=[mount.geometry_ids for mount, X in rings for _ in X],
+    )
 
 
 def make_self_hit_model(
@@ -147,35 +160,24 @@ def make_self_hit_model(
     config.check("self_hits")
     fan_S, num_wide = make_self_hit_fan(config, mask_config, ring_config)
     max_range = calc_cast_range(ring_config.sensor) + mask_config.tolerance
-
-    def make_bundles(turn=0.0, shift=0.0):
-        return caster.make_bundles(
-            frame_id=[mount.frame_id for mount in mounts for _ in mount.X_FS],
-            X_FS=[
-                X for mount in mounts for X in move_mount(mount, turn, shift)
-            ],
-            fan_S=fan_S,
-            max_range=max_range,
-            excluded=[m.geometry_ids for m in mounts for _ in m.X_FS],
-        )
-
     misfits = list_misfits(config, len(mounts))
-    made = {(m.turn, m.shift): None for m in misfits} | {(0.0, 0.0): None}
-    for turn, shift in made:
-        made[turn, shift] = make_bundles(turn, shift)
-    orders = make_orders(len(mounts[0].X_FS))
-    swaps = list_swaps(len(mounts))
+    moved = [
+        (mounts[m.ring], move_mount(mounts[m.ring], m.turn, m.shift))
+        for m in misfits
+        if m.ring >= 0
+    ]
+    make_bundles = functools.partial(_make_bundles, caster, fan_S, max_range)
     return SelfHitModel(
         config=config,
         name=tuple(name),
         caster=caster,
         twin=twin,
         num_wide=num_wide,
-        believed=made[0.0, 0.0],
+        believed=make_bundles([(mount, mount.X_FS) for mount in mounts]),
         misfits=misfits,
-        bundles=tuple(made[m.turn, m.shift] for m in misfits),
-        orders=orders,
-        swaps=np.array(swaps, dtype=np.int64).reshape(-1, 2),
+        moved=make_bundles(moved) if moved else None,
+        orders=make_orders(len(mounts[0].X_FS)),
+        swaps=np.array(list_swaps(len(mounts)), dtype=np.int64).reshape(-1, 2),
         limits=(
             mask_config.tolerance,
             mask_config.min_range,
@@ -219,10 +221,10 @@ class SelfHitState:
 def _lay_out(rings, sensors, tests):
     """Returns where in the vector each field is, and its shape."""
     shapes = {
-        "sensor_sum": (sensors,),
         "sensor_alarm": (sensors,),
-        "misfit_sum": (tests,),
         "misfit_alarm": (tests,),
+        "sensor_sum": (sensors,),
+        "misfit_sum": (tests,),
         "expectation": (3, sensors),
         "position": (rings, 6),
         "sequence": (rings,),
@@ -492,51 +494,64 @@ def _try_misfits(model, state, look, outcome, odd):
     all of them: they get what is against them in turns.
     """
     first = len(state.misfit_sum) - len(model.misfits)
+    tried = []
     live = []
     for i, misfit in enumerate(model.misfits):
         if misfit.ring >= 0 and misfit.ring not in look.rings:
             continue
         if odd.any() if misfit.ring < 0 else odd[misfit.ring]:
-            _try_misfit(model, state, look, outcome, i)
+            tried.append((i, 1))
         elif state.misfit_sum[first + i] > 0.0:
             live.append(i)
     if live:
         turn = int(state.sequence[look.rings[0]]) % len(live)
-        _try_misfit(model, state, look, outcome, live[turn], len(live))
-
-
-def _try_misfit(model, state, look, outcome, i, weight=1):
+        tried.append((live[turn], len(live)))
     n = model.num_sensors
-    misfit = model.misfits[i]
-    which = look.which
-    sensors = slice(None)
-    if misfit.ring >= 0:
-        sensors = slice(n * misfit.ring, n * misfit.ring + n)
-        which = np.zeros(len(which), dtype=bool)
-        which[sensors] = True
+    expectations = _expect_moved(
+        model, look, [i for i, _ in tried if model.misfits[i].ring >= 0]
+    )
+    for i, weight in tried:
+        misfit = model.misfits[i]
+        if misfit.ring >= 0:
+            sensors = slice(n * misfit.ring, n * misfit.ring + n)
+            expectation = expectations[:, n * i : n * i + n]
+        else:
+            sensors = slice(None)
+            expectation = make_no_expectation(len(look.which))
+            expect(
+                model,
+                look,
+                model.believed,
+                expectation,
+                shift=misfit.delay,
+                offset=misfit.offset,
+            )
+        step_misfit(
+            state.misfit_sum,
+            state.misfit_alarm,
+            first + i,
+            look.distance[sensors],
+            look.status[sensors],
+            expectation,
+            outcome[sensors],
+            model.limits,
+            model.scores,
+            model.config.misfit_threshold,
+            weight,
+        )
+
+
+def _expect_moved(model, look, misfits):
+    """Returns what rings see that are moved, misfit by misfit, (3, k n)."""
+    if not misfits:
+        return None
+    n = model.num_sensors
+    which = np.zeros(model.moved.num_bundles, dtype=bool)
+    for i in misfits:
+        which[n * i : n * i + n] = True
     expectation = make_no_expectation(len(which))
-    expect(
-        model,
-        look,
-        model.bundles[i],
-        expectation,
-        shift=misfit.delay,
-        offset=misfit.offset,
-        which=which,
-    )
-    step_misfit(
-        state.misfit_sum,
-        state.misfit_alarm,
-        len(state.misfit_sum) - len(model.misfits) + i,
-        look.distance[sensors],
-        look.status[sensors],
-        expectation[:, sensors],
-        outcome[sensors],
-        model.limits,
-        model.scores,
-        model.config.misfit_threshold,
-        weight,
-    )
+    expect(model, look, model.moved, expectation, which=which)
+    return expectation
 
 
 def describe_test(
@@ -654,7 +669,11 @@ class SelfHitWatch(LeafSystem):
             for ring in model.name
         ]
         self._report = self.DeclareVectorInputPort("robot_report", REPORT_SIZE)
-        self._state = self.DeclareDiscreteState(make_state_vector(model))
+        vector = make_state_vector(model)
+        state = view_state(model, vector)
+        # They come first.
+        self._alarms = slice(len(state.sensor_alarm) + len(state.misfit_alarm))
+        self._state = self.DeclareDiscreteState(vector)
         self.DeclareAbstractOutputPort(
             "self_hit_health",
             Value(self._empty).Clone,
@@ -710,15 +729,13 @@ class SelfHitWatch(LeafSystem):
         return SUCCEEDED
 
     def _calc_health(self, context: Context, output):
-        state = view_state(
-            self._model, context.get_discrete_state(self._state).value()
-        )
+        vector = context.get_discrete_state(self._state).value()
         before = output.get_value()
-        if not (state.sensor_alarm.any() or state.misfit_alarm.any()):
+        if not vector[self._alarms].any():
             if before is not self._empty:
                 output.set_value(self._empty)
             return
-        health = tell_health(self._model, state)
+        health = tell_health(self._model, view_state(self._model, vector))
         if (
             health.problem != before.problem
             or (health.fault != before.fault).any()

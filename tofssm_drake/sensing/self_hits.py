@@ -75,11 +75,11 @@ class SelfHitConfig:
 
     # Scans of a ring from look to look. More looks find small misfits sooner
     # and take time of the monitor's.
-    scans_per_look: int = 2
+    scans_per_look: int = 3
 
-    # Threshold of a sensor's sum. e^23 looks of 7 sensors at 21 Hz are two
+    # Threshold of a sensor's sum. e^23 looks of 6 sensors at 14 Hz are three
     # years between two false alarms at the miss rate above. 8 misses in a row
-    # reach it: 0.4 s.
+    # reach it: 0.6 s.
     sensor_threshold: float = 23.0
 
     # How much it counts, as a natural logarithm, that a reading is alone by
@@ -96,9 +96,9 @@ class SelfHitConfig:
     # are less than half as high). Something hits a wide one by chance.
     full_width: float = 0.5
 
-    # Threshold of the sum of a misfit (*measured*: half more than the highest
-    # sum that a person brought about in hours, see docs/self_hits.md).
-    misfit_threshold: float = 16.0
+    # Threshold of the sum of a misfit (*measured*: twice the highest sum that
+    # a person brought about in an hour, see docs/self_hits.md).
+    misfit_threshold: float = 12.0
 
     # A misfit whose sum is above this lends its name to a sensor's alarm:
     # where a ring is turned, single sensors miss the robot first.
@@ -449,35 +449,25 @@ def step_orders(
     """
     p, n = orders.shape
     own = expectation[:, n * ring : n * ring + n]
-    for test in range(p):
-        i = ring * p + test
-        if is_odd or total[i] > 0.0:
+    for j in range(p + swaps.shape[0]):
+        if j < p:
+            test = ring * p + j
+            tried = own[:, orders[j]].copy()
+        else:
+            test = expectation.shape[1] // n * p + j - p
+            pair = swaps[j - p]
+            if ring not in (pair[0], pair[1]):
+                continue
+            other = pair[0] + pair[1] - ring
+            tried = expectation[:, n * other : n * other + n].copy()
+        if is_odd or total[test] > 0.0:
             step_misfit(
                 total,
                 alarm,
-                i,
+                test,
                 distance,
                 status,
-                own[:, orders[test]],
-                believed,
-                limits,
-                scores,
-                threshold,
-                1,
-            )
-    for test in range(swaps.shape[0]):
-        i = expectation.shape[1] // n * p + test
-        if ring in (swaps[test, 0], swaps[test, 1]) and (
-            is_odd or total[i] > 0.0
-        ):
-            other = swaps[test, 0] + swaps[test, 1] - ring
-            step_misfit(
-                total,
-                alarm,
-                i,
-                distance,
-                status,
-                expectation[:, n * other : n * other + n],
+                tried,
                 believed,
                 limits,
                 scores,
