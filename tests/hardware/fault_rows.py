@@ -8,7 +8,6 @@ with the robot at full speed at the same place of its path, in lock-step.
 from collections.abc import Callable
 import dataclasses as dc
 import enum
-import gc
 import math
 import multiprocessing
 import re
@@ -721,8 +720,6 @@ def call_in_copy(function: Callable):
     Raises:
         RuntimeError: It raised, or the copy died.
     """
-    # What the copy does not touch, the two share.
-    gc.freeze()
     context = multiprocessing.get_context("fork")
     receiver, sender = context.Pipe(duplex=False)
     process = context.Process(target=_answer, args=(function, sender))
@@ -733,7 +730,6 @@ def call_in_copy(function: Callable):
     except EOFError:
         is_well, result = False, "the copy died"
     process.join()
-    gc.unfreeze()
     if not is_well:
         raise RuntimeError(result)
     return result
