@@ -1,7 +1,10 @@
 """The monitor: from scans and the robot's own report to a speed fraction."""
 
+import math
+
 import numpy as np
 from pydrake.geometry import SceneGraph
+from pydrake.multibody.plant import MultibodyPlant
 from pydrake.systems.framework import Diagram, DiagramBuilder
 from pydrake.systems.primitives import Multiplexer
 
@@ -28,6 +31,16 @@ from tofssm_drake.sensing.occlusion_mask import (
     make_mask_bundles,
 )
 from tofssm_drake.sensing.ring_mount import find_ring_mount
+from tofssm_drake.sensing.self_hit_coverage import (
+    calc_verifiable_share,
+    tell_coverage,
+)
+from tofssm_drake.sensing.self_hit_watch import (
+    SelfHitModel,
+    SelfHitStop,
+    SelfHitWatch,
+    make_self_hit_model,
+)
 from tofssm_drake.sensing.separation import TofSeparation, make_ring_geometry
 from tofssm_drake.ssm.dsi_filter import DsiFilter
 from tofssm_drake.ssm.speed_fraction import SpeedFractionTrajectory
@@ -72,13 +85,15 @@ def make_monitor(
         - masked_scan_base
         - masked_scan_elbow
         - masked_scan_tool
+        - self_hit_health
 
     It sees nothing but what real hardware gives: the rings' scans, the joints,
     a digital output (gripper) and a register (products placed). Of the cell
     it has a model of its own, the twin.
 
     With another sensing than the rings it has other ports in the place of
-    `scan_...`, does without gripper and products, and has no `masked_scan_...`:
+    `scan_...`, does without gripper and products, and has no `masked_scan_...`
+    and no `self_hit_health` (which is there only if the rings are watched):
     with `lidar` it is `scan_lidar`, with `ideal` the true person, `skeleton`.
 
     Args:
@@ -224,12 +239,13 @@ def _add_lidar(builder, scenario, scene_graph, plant, kinematics):
 def _add_rings(
     builder, scenario, scene_graph, plant, kinematics, masks_periodically
 ):
-    """Adds mask and separation of the rings with their inputs.
+    """Adds mask, self-hit watch and separation of the rings.
 
     Returns:
-        The separation and the ports of the masked scans.
+        The system whose separation counts, and the ports of the masked scans
+        and of the watch.
     """
-    mask, geometries = _add_mask(
+    mask, report, geometries = _add_mask(
         builder,
         scenario,
         scene_graph,
@@ -249,13 +265,98 @@ def _add_rings(
     ports = [mask.GetOutputPort(f"masked_scan_{name}") for name in RINGS]
     for port in ports:
         builder.Connect(port, separation.GetInputPort(port.get_name()))
-    return separation, ports
+    if not scenario.self_hits.enabled:
+        return separation, ports
+    watch = builder.AddNamedSystem(
+        "self_hit_watch",
+        SelfHitWatch(
+            model=make_scenario_self_hits(
+                scenario, scene_graph, plant, kinematics
+            ),
+            period=_calc_look_period(scenario),
+        ),
+    )
+    for name, port in zip(RINGS, ports, strict=True):
+        builder.ConnectInput(f"scan_{name}", watch.GetInputPort(f"scan_{name}"))
+        builder.Connect(port, watch.GetInputPort(port.get_name()))
+    builder.Connect(report, watch.GetInputPort("robot_report"))
+    stop = builder.AddNamedSystem("self_hit_stop", SelfHitStop())
+    health = watch.GetOutputPort("self_hit_health")
+    builder.Connect(health, stop.GetInputPort("self_hit_health"))
+    builder.Connect(
+        separation.GetOutputPort("separation"), stop.GetInputPort("separation")
+    )
+    return stop, [*ports, health]
+
+
+def _calc_look_period(scenario):
+    """Returns the time from look to look, a multiple of the control tick."""
+    wanted = scenario.self_hits.scans_per_look * scenario.rings.period
+    tick = scenario.control_period
+    return max(1, math.ceil(wanted / tick - 1e-6)) * tick
+
+
+def make_scenario_self_hits(
+    scenario: Scenario,
+    scene_graph: SceneGraph,
+    plant: MultibodyPlant,
+    kinematics: RingKinematics,
+) -> SelfHitModel:
+    """Makes the model of what a scenario's rings should see of the robot.
+
+    Args:
+        scenario: Checked settings.
+        scene_graph: Of the twin.
+        plant: From `make_twin_plant`.
+        kinematics: Of the plant's robot.
+    """
+    inspector = scene_graph.model_inspector()
+    caster = RayCaster(inspector)
+    return make_self_hit_model(
+        config=scenario.self_hits,
+        mask_config=scenario.mask,
+        ring_config=scenario.rings,
+        caster=caster,
+        mounts=[find_ring_mount(plant, inspector, name) for name in RINGS],
+        # All frames of rings carry geometry that is seen: no bundle adds one.
+        twin=TwinPoses.from_plant(
+            plant,
+            layout=ProductLayout.from_config(scenario.program),
+            frame_ids=caster.frame_ids,
+            kinematics=kinematics,
+        ),
+    )
+
+
+def tell_self_hit_coverage(scenario: Scenario) -> list[str]:
+    """Says what of a scenario's rings self-hits can not verify.
+
+    Args:
+        scenario: Checked settings.
+
+    Returns:
+        Lines to be shown at the start, see `tell_coverage`; none where there
+        are no rings, or they are not watched.
+    """
+    if scenario.sensing != "tof" or not scenario.self_hits.enabled:
+        return []
+    scene_graph = SceneGraph()
+    plant = make_twin_plant(
+        scene_graph=scene_graph,
+        sensors_per_ring=scenario.sensors_per_ring,
+        products=scenario.program.products,
+        meshes=scenario.robot_meshes,
+    )
+    kinematics = RingKinematics.from_plant(plant)
+    model = make_scenario_self_hits(scenario, scene_graph, plant, kinematics)
+    path = make_program_path(scenario.program, kinematics)
+    return tell_coverage(model, calc_verifiable_share(model, path))
 
 
 def _add_mask(
     builder, scenario, scene_graph, plant, kinematics, masks_periodically
 ):
-    """Adds the mask with its inputs; returns it and the rings."""
+    """Adds the mask with its inputs; returns it, the report, the rings."""
     inspector = scene_graph.model_inspector()
     caster = RayCaster(inspector)
     mounts = [find_ring_mount(plant, inspector, name) for name in RINGS]
@@ -290,4 +391,5 @@ def _add_mask(
     for i, name in enumerate(_ROBOT_REPORT):
         builder.ExportInput(report.get_input_port(i), name)
     builder.Connect(report.get_output_port(), mask.GetInputPort("robot_report"))
-    return mask, [make_ring_geometry(mount.X_LS) for mount in mounts]
+    geometries = [make_ring_geometry(mount.X_LS) for mount in mounts]
+    return mask, report.get_output_port(), geometries

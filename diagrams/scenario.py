@@ -25,6 +25,7 @@ from tofssm_drake.sensing.ideal_separation import IdealSeparationConfig
 from tofssm_drake.sensing.lidar_2d import Lidar2dConfig
 from tofssm_drake.sensing.lidar_separation import LIDAR, LidarSeparationConfig
 from tofssm_drake.sensing.occlusion_mask import OcclusionMaskConfig
+from tofssm_drake.sensing.self_hits import SelfHitConfig
 from tofssm_drake.sensing.separation import SeparationConfig
 from tofssm_drake.sensing.tof_rings import TofRingConfig
 from tofssm_drake.ssm.config import SsmConfig
@@ -95,6 +96,9 @@ class Scenario:
 
     # Which readings are the robot's own.
     mask: OcclusionMaskConfig = dc.field(default_factory=OcclusionMaskConfig)
+
+    # How the rings are watched by what they see of the robot itself.
+    self_hits: SelfHitConfig = dc.field(default_factory=SelfHitConfig)
 
     # From readings to distance and directed speeds.
     separation: SeparationConfig = dc.field(default_factory=SeparationConfig)

@@ -25,6 +25,7 @@ from tofssm_drake.diagrams.hardware_run import (
     set_control_period,
     wait_for_robot,
 )
+from tofssm_drake.diagrams.monitor import tell_self_hit_coverage
 from tofssm_drake.diagrams.ring_decoder import make_ring_decoder
 from tofssm_drake.diagrams.scenario import (
     NoHuman,
@@ -249,6 +250,7 @@ def hardware(
             # Once in vain: what can not be made must not be found out after
             # a robot was stopped for it, nor may it wait for a compiler.
             HardwareLoop(scenario=scenario, virtual_rings=is_virtual)
+            coverage = tell_self_hit_coverage(scenario)
         if out is not None:
             stack.enter_context(_made_folder(out))
         recorder = None
@@ -338,6 +340,8 @@ def hardware(
         tool = describe_tool(checks.model, kinematics, first)
         if tool:
             _console.print(tool)
+        for line in coverage:
+            _console.print(f"note: {line}")
         if not is_real_time:
             _console.print(_NO_PRIORITY)
         end = _run(run, robot, link, stopped, duration, dry_run)

@@ -20,6 +20,7 @@ from rich.progress import BarColumn, TextColumn, TimeElapsedColumn
 from rich.progress import Progress as ProgressBar
 import typer
 
+from tofssm_drake.diagrams.monitor import tell_self_hit_coverage
 from tofssm_drake.diagrams.scenario import (
     SENSINGS,
     Scenario,
@@ -115,8 +116,11 @@ def simulate(
     option = {"sensors_per_ring": "--sensors-per-ring"}
     with options.blame(option if sensors_per_ring is not None else {}):
         workcell = make_workcell(scenario, meshcat=display)
+    coverage = tell_self_hit_coverage(scenario)
     # Whatever a user can get wrong is known by now: nothing is written before.
     make_folder(out)
+    for line in coverage:
+        print(f"note: {line}", file=sys.stderr, flush=True)
     if graphviz:
         draw_diagram(workcell.diagram, graphviz)
     if meshcat:

@@ -335,6 +335,18 @@ class SliderCommand(_Frozen):
     """Changes with each package as long as all is well."""
 
 
+@dc.dataclass(frozen=True, eq=False, kw_only=True)
+class SelfHitHealth(_Frozen):
+    """Whether the rings see the robot where the twin says they must."""
+
+    name: tuple[str, ...] = RINGS
+    """The m rings."""
+    fault: np.ndarray
+    """`SensorFault` of each sensor, NONE or UNSEEN_SELF_HIT, (m, n)."""
+    problem: tuple[str, ...]
+    """Of each ring, what is wrong with it in one line; empty: nothing."""
+
+
 def make_empty_separation(name: tuple[str, ...] = RINGS) -> Separation:
     """Returns the separation before any sample: nothing is known."""
     m = len(name)
@@ -367,4 +379,15 @@ def make_empty_safety_index(name: tuple[str, ...] = RINGS) -> SafetyIndex:
         dsi_C=np.zeros(m),
         dsi_R=np.zeros(m),
         health=np.full(m, RingHealth.FAULTED),
+    )
+
+
+def make_empty_self_hit_health(
+    name: tuple[str, ...] = RINGS, sensors: int = 0
+) -> SelfHitHealth:
+    """Returns the health of rings of which nothing bad is known."""
+    return SelfHitHealth(
+        name=name,
+        fault=np.full((len(name), sensors), SensorFault.NONE, dtype=np.uint8),
+        problem=("",) * len(name),
     )

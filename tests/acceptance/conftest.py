@@ -4,6 +4,7 @@ import dataclasses as dc
 import functools
 import json
 
+from fault_rows import Moment, make_cell
 from pydrake.math import RigidTransform
 import pytest
 
@@ -105,3 +106,14 @@ def run():
 def looks():
     """Returns what was seen of a run, every 0.2 s."""
     return lambda name="Default", text="": finish_scenario(name, text)[2]
+
+
+@pytest.fixture(scope="module")
+def fault_cells():
+    """Returns robots at full speed, and about to stop for somebody."""
+    alone = make_cell(Moment.ALONE)
+    return {
+        Moment.ALONE: alone,
+        Moment.HELD: make_cell(Moment.HELD),
+        Moment.COMES: alone,
+    }

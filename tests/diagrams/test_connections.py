@@ -77,7 +77,7 @@ class TestPorts(unittest.TestCase):
             set(get_outputs(self.monitor)),
             {
                 *("speed_fraction", "robot_state", "ring_states", "reason"),
-                *("separation", "dsi"),
+                *("separation", "dsi", "self_hit_health"),
                 *(f"masked_scan_{ring}" for ring in RINGS),
             },
         )
@@ -173,6 +173,7 @@ class TestConnections(unittest.TestCase):
             {
                 *("Multiplexer", "OcclusionMask", "TofSeparation", "DsiFilter"),
                 *("TriSsmState", "SpeedFractionTrajectory"),
+                *("SelfHitWatch", "SelfHitStop"),
             },
         )
 

@@ -11,7 +11,8 @@ from tofssm_drake.messages import RINGS, RobotState
 
 @pytest.fixture(scope="module")
 def monitor():
-    return make_monitor(load_scenario())
+    # These rings see nothing, not even the robot.
+    return make_monitor(load_scenario(text="{self_hits: {enabled: false}}"))
 
 
 @pytest.fixture(scope="module")
@@ -65,6 +66,19 @@ def test_a_broken_ring_stops_the_robot(rig, ring):
     rig.run(0.6)
     assert rig.rho == 0.0
     assert rig.eval("reason").startswith(f"stop: {ring} ")
+
+
+def test_rings_that_see_nothing_at_all_stop_the_robot(start_position):
+    rig = Rig(make_monitor(load_scenario()), start_position)
+    rows = rig.run(3.0)
+    # The robot stands still here, so it is looked at a fifth as often.
+    assert rows[-1, 1] == RobotState.STOP
+    assert rig.rho == 0.0
+    assert rig.eval("reason").startswith("stop: ")
+    for ring, line in zip(
+        RINGS, rig.eval("self_hit_health").problem, strict=True
+    ):
+        assert line.startswith(f"unseen self-hit: {ring} sensor ")
 
 
 def test_a_frozen_ring_stops_the_robot(rig):

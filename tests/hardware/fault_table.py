@@ -1,12 +1,14 @@
 """Measures how long each fault takes to stop a robot: `make fault-table`.
 
-Prints two tables in Markdown for docs/hardware.md. The first is of lock-step,
-where a cycle of the robot lasts as long as it should: the same on every
-computer. For the second, robot and runner are processes of their own, the
-rings send over a real socket, and the times are those of another client of
-the robot: some minutes on a computer that has nothing else to do.
+Prints tables in Markdown: of rings, sensors and robot for docs/faults.md, of
+processes for docs/hardware.md. The first three are of lock-step, where a
+cycle of the robot lasts as long as it should: the same on every computer. For
+the last one, robot and runner are processes of their own, the rings send over
+a real socket, and the times are those of another client of the robot: some
+minutes on a computer that has nothing else to do.
 """
 
+from collections.abc import Sequence
 import contextlib
 import math
 from pathlib import Path
@@ -19,7 +21,15 @@ import threading
 import time
 
 from cell_process import NOBODY, CellProcess
-from lockstep import CYCLE, Cell
+from fault_rows import (
+    RING_ROWS,
+    ROBOT_ROWS,
+    SENSOR_ROWS,
+    Moment,
+    Row,
+    make_cell,
+    measure_row,
+)
 
 from tofssm_drake.diagrams.scenario import load_scenario
 from tofssm_drake.diagrams.simulated_rings import (
@@ -33,7 +43,6 @@ from tofssm_drake.hardware.ring_fault_injection import (
     FaultInjector,
     RingFault,
 )
-from tofssm_drake.hardware.rtde_fields import SafetyMode
 from tofssm_drake.messages import RINGS
 
 _TIMES = 3
@@ -43,6 +52,11 @@ _KINDS = (
     *("bus", "restart"),
 )
 _PORT = 5005
+_HEADS = {
+    Moment.ALONE: "nobody there, ms",
+    Moment.HELD: "held by a person, ms",
+    Moment.COMES: "a person comes, ms",
+}
 _SIGNALS = {
     signal.SIGINT: "Ctrl-C",
     signal.SIGTERM: "SIGTERM",
@@ -114,7 +128,7 @@ class Table:
         self._rows: dict[str, list] = {}
 
     def add(self, fault, seen, note=""):
-        """Adds one measurement: a `Seen` or `Times`."""
+        """Adds one measurement, a `Seen`."""
         self._rows.setdefault(fault, []).append((seen.zero, seen.still, note))
         print(
             f"{fault}: 0 after {seen.zero:.3f} s, still after "
@@ -160,68 +174,52 @@ def _measure(cell, runner, act, *, settled=0.5):
     return cell.watcher.see(start, settled=settled)
 
 
-def measure_in_lockstep(table: Table) -> None:
-    """All that does not end a runner, without clock and sockets."""
-    cell = Cell()
-    robot = cell.robot
-
-    def late():
-        cell.delay = 0.15
-
-    def silent():
-        cell.is_silent = True
-
-    def disobey():
-        robot.slider_frozen = True
-        cell.inject("bus", "elbow")
-
-    def ignore(fraction=1.0):
-        robot.slowest_fraction = fraction
-        cell.inject("bus", "elbow")
-
-    acts = {
-        f"ring {kind}: {FAULTS[kind]}": (
-            lambda k=kind: cell.inject(k, "elbow"),
-            1.5,
-        )
-        for kind in _KINDS
-    } | {
-        "a ring, and the slider does not obey": (disobey, 1.0),
-        "a ring, and the arm ignores its slider": (ignore, 2.0),
-        "a ring, and the arm gets no slower than 0.6": (
-            lambda: ignore(0.6),
-            2.0,
-        ),
-        "a ring, and the arm gets no slower than 0.1": (
-            lambda: ignore(0.1),
-            2.0,
-        ),
-        "robot's reports 0.15 s late": (late, 1.0),
-        "robot silent": (silent, 1.0),
-        "robot's clock jumps": (lambda: robot.shift_clock(5.0), 0.2),
-        "program paused": (robot.pause, 0.5),
-        "protective stop": (
-            lambda: robot.set_safety_mode(SafetyMode.PROTECTIVE_STOP),
-            0.5,
-        ),
+def print_rows(rows: Sequence[Row]) -> None:
+    """Measures faults in lock-step and prints them in Markdown."""
+    alone = make_cell(Moment.ALONE)
+    cells = {
+        Moment.ALONE: alone,
+        Moment.HELD: make_cell(Moment.HELD),
+        Moment.COMES: alone,
     }
-    for fault, (act, duration) in acts.items():
+    heads = ("fault", *(_HEADS[m] for m in Moment), "the runner says, or why")
+    print(f"\n| {' | '.join(heads)} |\n|{len(heads) * '---|'}")
+    for row in rows:
         # The moment between two samples counts, too.
-        for shift in range(3):
-            cell.wait_for_full_speed()
-            for _ in range(shift):
-                cell.step()
-            act()
-            times = cell.measure(duration + CYCLE / 2)
-            table.add(fault, times, _shorten(times.health))
-            cell.heal()
-            cell.delay = 0.0
-            cell.is_silent = robot.slider_frozen = False
-            robot.slowest_fraction = 0.0
-            robot.set_safety_mode(SafetyMode.NORMAL)
-            for _ in range(50):
-                cell.step()
-            robot.play()
+        times = {
+            moment: [
+                measure_row(cells[moment], row, moment, shift)
+                for shift in range(3 if moment == Moment.ALONE else 1)
+            ]
+            for moment in Moment
+        }
+        columns = [
+            _describe_times(times[moment], moment in row.open)
+            for moment in Moment
+        ]
+        note = _describe_note(row, times[Moment.ALONE][0].health)
+        print(f"| {row.name} | {' | '.join(columns)} | {note} |", flush=True)
+
+
+def _describe_times(times, is_open):
+    """Returns the longest times to 0 and to standstill, ms."""
+    zero, still = (
+        max(getattr(t, name) for t in times) for name in ("zero", "still")
+    )
+    if is_open:
+        return "**open**"
+    if still == math.inf:
+        return "goes on"
+    if zero == still:
+        return f"{round(1e3 * still)}"
+    first = "stays" if zero == math.inf else f"{round(1e3 * zero)}"
+    return f"{first} / {round(1e3 * still)}"
+
+
+def _describe_note(row, health):
+    """Returns what was said, and why it may go on."""
+    says = _shorten(health) if row.says and not row.open else ""
+    return "; ".join(filter(None, (says, row.why, row.finder)))
 
 
 def measure_rings(table: Table) -> None:
@@ -320,16 +318,27 @@ def measure_full_disk(table: Table, cell: CellProcess, folder: Path) -> None:
     table.add("disk full", seen, _last_line(runner))
 
 
-def main():
-    """Measures and prints."""
-    table = Table()
-    measure_in_lockstep(table)
-    table.print()
+def print_processes() -> None:
+    """Measures with processes and sockets, and prints it in Markdown."""
     table = Table()
     measure_rings(table)
     with tempfile.TemporaryDirectory() as folder:
         measure_ends(table, Path(folder))
     table.print()
+
+
+_PARTS = {
+    "rings": lambda: print_rows(RING_ROWS),
+    "sensors": lambda: print_rows(SENSOR_ROWS),
+    "robot": lambda: print_rows(ROBOT_ROWS),
+    "processes": print_processes,
+}
+
+
+def main():
+    """Measures and prints the parts that are named; none: all."""
+    for part in sys.argv[1:] or _PARTS:
+        _PARTS[part]()
 
 
 if __name__ == "__main__":

@@ -8,17 +8,21 @@ the numbers say. So what is measured here is the same on every computer.
 import collections
 import dataclasses as dc
 import math
+from unittest import mock
 
+import numpy as np
 from robot_room import make_kinematics, make_robot
 
+from tofssm_drake.diagrams import ring_world
 from tofssm_drake.diagrams.hardware_loop import HardwareLoop
-from tofssm_drake.diagrams.hardware_run import HardwareRun
+from tofssm_drake.diagrams.hardware_run import HardwareRun, JointLimits
 from tofssm_drake.diagrams.ring_decoder import make_ring_decoder
 from tofssm_drake.diagrams.scenario import load_scenario
 from tofssm_drake.diagrams.simulated_rings import (
     SimulatedRings,
     iterate_wake_times,
 )
+from tofssm_drake.errors import UserError
 from tofssm_drake.hardware.ring_fault_injection import (
     FaultInjector,
     RingFault,
@@ -27,8 +31,9 @@ from tofssm_drake.hardware.ring_fault_injection import (
 from tofssm_drake.hardware.ring_frame import encode_frame
 from tofssm_drake.hardware.ring_link import LoopbackRingLink
 from tofssm_drake.hardware.robot_connection import RtdeStatus
-from tofssm_drake.hardware.rtde_protocol import Recipe
+from tofssm_drake.hardware.rtde_protocol import Recipe, RtdeError
 from tofssm_drake.hardware.rtde_report import ReportMaker, list_outputs
+from tofssm_drake.hardware.simulated_ur import SimulatedUr
 from tofssm_drake.hardware.slider import SliderPhase
 from tofssm_drake.messages import (
     RINGS,
@@ -36,12 +41,45 @@ from tofssm_drake.messages import (
     RobotState,
     SliderCommand,
 )
+from tofssm_drake.robot.twin import make_cell_plant
+from tofssm_drake.sensing.vl53l1x import STATUS_VALID
 
 CYCLE = 0.008
 # Host's time at the begin, s.
 _HOST = 900.0
 # A client connects anew after that silence, s.
 _STREAM_TIMEOUT = 0.1
+# What a sensor can see of a person.
+_FARTHEST_MM = 1300.0
+
+
+@dc.dataclass(frozen=True, kw_only=True)
+class Visitor:
+    """Somebody who comes straight up to one sensor, and stays there.
+
+    No other sensor sees them: what this one does decides.
+    """
+
+    ring: str
+    """Name of the sensor's ring."""
+    sensor: int
+    """Its index."""
+    start: float
+    """When they come in sight, s on the cell's clock."""
+    first: float = 1.2
+    """How far from the sensor they do, m."""
+    last: float = 0.3
+    """Where they stay, m from the sensor."""
+    speed: float = 1.6
+    """How fast they come, m/s."""
+    noise: float = 0.003
+    """Standard deviation of the sensor's distances, m."""
+
+    def calc_distance(self, time: float) -> float:
+        """Returns how far away they are, m; inf: not in sight yet."""
+        if time < self.start:
+            return math.inf
+        return max(self.first - self.speed * (time - self.start), self.last)
 
 
 @dc.dataclass
@@ -54,6 +92,34 @@ class Times:
     """The robot stood still, and stayed so."""
     health: str = ""
     """What the runner said when the robot stood still, or at last."""
+    lowest: float = 1.0
+    """Where the slider was lowest."""
+    rise: float = 0.0
+    """By how much it rose again from there."""
+    last: float = 1.0
+    """How fast the arm was at last, of full speed."""
+
+    def see(self, elapsed: float, robot: SimulatedUr, health: str) -> None:
+        """Takes what the robot does by now."""
+        if robot.slider != 0.0:
+            self.zero = math.inf
+        elif self.zero == math.inf:
+            self.zero = elapsed
+        if robot.speed_fraction != 0.0:
+            self.still = math.inf
+        elif self.still == math.inf:
+            self.still = elapsed
+            self.health = health
+        self.lowest = min(self.lowest, robot.slider)
+        self.rise = max(self.rise, robot.slider - self.lowest)
+        self.last = robot.speed_fraction
+
+
+class _Loop(HardwareLoop):
+    """Without rehearsals: nothing follows from them but speed."""
+
+    def rehearse(self):
+        """Does nothing."""
 
 
 class Cell:
@@ -71,6 +137,10 @@ class Cell:
         robot: A `SimulatedUr` with its watchdog at 0.2 s.
         is_silent: The robot's packages do not come any more.
         delay: By how much they come late, s.
+        visitor: Whom one sensor sees; None: nobody is there.
+        change: Makes of a ring's frame what its wire carries, before faults
+            are injected; None: it does not come.
+        change_outputs: Makes of the robot's outputs what it reports.
     """
 
     def __init__(self, *, checks_model: bool = True):
@@ -84,6 +154,10 @@ class Cell:
         self.time = 0.0
         self.is_silent = False
         self.delay = 0.0
+        self.visitor: Visitor | None = None
+        self.change = lambda frame: frame
+        self.change_outputs = lambda outputs: outputs
+        self._random = np.random.default_rng(0)
         self._commands = []
         self._queue = collections.deque()
         self._report = self._newest = RobotReport()
@@ -98,13 +172,14 @@ class Cell:
         self._wake_times = iterate_wake_times(self.scenario)
         self._wake_time = next(self._wake_times)
         self.run = HardwareRun(
-            loop=HardwareLoop(
+            loop=_Loop(
                 scenario=self.scenario, virtual_rings=False, send=self.send
             ),
             robot=self,
             rings=self._link,
             period=self.scenario.control_period,
             kinematics=make_kinematics() if checks_model else None,
+            limits=JointLimits.from_plant(make_cell_plant()),
             clock=lambda: _HOST + self.time,
         )
         self.result = None
@@ -140,10 +215,30 @@ class Cell:
         self.result = self.run.step() or self.result
         return self.result
 
-    def inject(self, kind, ring, sensor=None):
-        """Begins a fault of a ring, or of one of its sensors alone."""
+    def mount(self, mount_ring):
+        """Lets the rings look from elsewhere from now on.
+
+        Args:
+            mount_ring: Takes the place of `find_ring_mount` in the rings'
+                world; the monitor does not know.
+        """
+        heard = []
+
+        def send(frame, is_damaged):
+            return not heard or self._receive_frame(frame, is_damaged)
+
+        with mock.patch.object(ring_world, "find_ring_mount", mount_ring):
+            self._rings = SimulatedRings(scenario=self.scenario, send=send)
+        # Up to now nobody hears of it.
+        now = self._wake_time - CYCLE
+        self._rings.advance(now, self._newest, _HOST + now)
+        heard.append(True)
+
+    def inject(self, kind, ring, *sensors):
+        """Begins a fault of a ring, or of some of its sensors alone."""
         self._injectors[RINGS.index(ring)] = FaultInjector(
-            [RingFault(kind=kind, ring=ring, start=0.0, sensor=sensor)]
+            RingFault(kind=kind, ring=ring, start=0.0, sensor=sensor)
+            for sensor in sensors or (None,)
         )
 
     def heal(self):
@@ -184,22 +279,32 @@ class Cell:
             )
         )
 
-    def measure(self, duration):
-        """Runs for so long and returns `Times` from now on."""
+    def measure(self, duration, *, linger=math.inf, may_end=False):
+        """Runs for so long and returns `Times` from now on.
+
+        Args:
+            duration: s.
+            linger: A robot that has stood still for so long, s, is enough.
+            may_end: Go on with the robot alone when the run ends.
+        """
         start, times = self.time, Times()
+        end = ""
         while self.time < start + duration:
-            self.step()
+            if end:
+                self._advance()
+            else:
+                try:
+                    self.step()
+                except UserError as error:
+                    if not may_end:
+                        raise
+                    end = str(error)
+                    self.close()
             elapsed = round(self.time - start, 6)
-            if self.robot.slider != 0.0:
-                times.zero = math.inf
-            elif times.zero == math.inf:
-                times.zero = elapsed
-            if self.robot.speed_fraction != 0.0:
-                times.still = math.inf
-            elif times.still == math.inf:
-                times.still = elapsed
-                times.health = self.result.health
-        times.health = times.health or self.result.health
+            times.see(elapsed, self.robot, end or self.result.health)
+            if elapsed >= times.still + linger:
+                break
+        times.health = times.health or end or self.result.health
         return times
 
     # How a cycle passes.
@@ -216,9 +321,9 @@ class Cell:
         self._commands.clear()
         self.robot.step()
         self.time += CYCLE
-        values = [self.robot.outputs[name] for name in self._recipe.names]
-        package = self._recipe.encode(values)[3:]
-        self._newest = self._decode(package, self._newest)
+        self._newest = self._decode(
+            self._encode(self.robot.outputs), self._newest
+        )
         while self._wake_time <= self.time:
             self._rings.advance(
                 self._wake_time, self._newest, _HOST + self._wake_time
@@ -229,12 +334,25 @@ class Cell:
             if self.time - (self._report.time - _HOST) > _STREAM_TIMEOUT:
                 self._begin_session()
             return
+        package = self._encode(self.change_outputs(self.robot.outputs))
         self._queue.append((self.time + self.delay, package))
         while self._queue and self._queue[0][0] <= self.time:
             _, package = self._queue.popleft()
+            self._take(package)
+
+    def _encode(self, outputs):
+        values = [outputs[name] for name in self._recipe.names]
+        return self._recipe.encode(values)[3:]
+
+    def _take(self, package):
+        try:
             self._report = self._decode(package, self._report)
-            self._session = self._report.session
-            self._last = self._report.timestamp
+        except RtdeError:
+            # A client hangs up, and connects anew.
+            self._begin_session()
+            return
+        self._session = self._report.session
+        self._last = self._report.timestamp
 
     def _begin_session(self):
         names = list_outputs(24)
@@ -261,8 +379,25 @@ class Cell:
         )
 
     def _receive_frame(self, frame, is_damaged):
-        self._injectors[frame.ring].put(frame, self._wake_time)
+        frame = self.change(self._show_visitor(frame))
+        if frame is not None:
+            self._injectors[frame.ring].put(frame, self._wake_time)
         return True
+
+    def _show_visitor(self, frame):
+        """Puts the visitor's distance into the frame of who sees them."""
+        visitor = self.visitor
+        if visitor is None or RINGS[frame.ring] != visitor.ring:
+            return frame
+        noise = visitor.noise * self._random.standard_normal()
+        mm = 1e3 * (visitor.calc_distance(self._wake_time) + noise)
+        i = visitor.sensor
+        is_hidden = frame.status[i] == STATUS_VALID and frame.mm[i] < mm
+        if is_hidden or not mm < _FARTHEST_MM:
+            return frame
+        values = frame.mm.copy(), frame.status.copy()
+        values[0][i], values[1][i] = round(mm), STATUS_VALID
+        return dc.replace(frame, mm=values[0], status=values[1])
 
     def _deliver_frames(self):
         """Hands over the frames that have come, each with its own arrival."""

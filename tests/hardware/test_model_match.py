@@ -4,6 +4,7 @@ import dataclasses as dc
 import math
 import unittest
 
+from dh_arms import UR5E, UR10, calc_dh_pose
 import numpy as np
 from robot_room import make_kinematics, make_robot
 from scipy.spatial.transform import Rotation
@@ -12,35 +13,7 @@ from tofssm_drake.errors import UserError
 import tofssm_drake.hardware.model_match as mut
 from tofssm_drake.messages import RobotReport
 
-# theta, a, d, alpha as Universal Robots publishes them, m.
-_UR10 = (
-    (0, -0.612, -0.5723, 0, 0, 0),
-    (0.1273, 0, 0, 0.163941, 0.1157, 0.0922),
-)
-_UR5E = (
-    (0, -0.425, -0.3922, 0, 0, 0),
-    (0.1625, 0, 0, 0.1333, 0.0997, 0.0996),
-)
 _NAN = np.full(6, np.nan)
-
-
-def calc_dh_pose(q, robot, p_FT=(0.0, 0.0, 0.0)):
-    """Returns a tool's pose as UR writes it, by a DH table, (6,)."""
-    X = np.eye(4)
-    alphas = (np.pi / 2, 0, 0, np.pi / 2, -np.pi / 2, 0)
-    for theta, a, d, alpha in zip(q, *robot, alphas, strict=True):
-        c, s, ca, sa = (
-            *(f(theta) for f in (np.cos, np.sin)),
-            *(f(alpha) for f in (np.cos, np.sin)),
-        )
-        X = X @ [
-            [c, -s * ca, s * sa, a * c],
-            [s, c * ca, -c * sa, a * s],
-            [0, sa, ca, d],
-            [0, 0, 0, 1],
-        ]
-    rotation = Rotation.from_matrix(X[:3, :3]).as_rotvec()
-    return np.concatenate([X[:3, 3] + X[:3, :3] @ p_FT, rotation])
 
 
 def make_report(q, pose, offset=_NAN, **fields):
@@ -76,13 +49,13 @@ class TestStart(unittest.TestCase):
         """Against the published table, with and without a reported offset."""
         for q in list_joints():
             for p_FT in ((0.0, 0.0, 0.0), (0.0, 0.0, 0.2), (0.1, -0.05, 0.3)):
-                pose = calc_dh_pose(q, _UR10, p_FT)
+                pose = calc_dh_pose(q, UR10, p_FT)
                 for offset in (_NAN, (*p_FT, 0, 0, 0)):
                     start(make_report(q, pose, offset))
 
     def test_tool_that_is_turned(self):
         q = list_joints()[0]
-        flange = mut.make_pose(calc_dh_pose(q, _UR10))
+        flange = mut.make_pose(calc_dh_pose(q, UR10))
         offset = np.array([0.1, 0.0, 0.2, 0.3, -1.2, 0.5])
         tool = mut.compose(flange, mut.make_pose(offset))
         rotation = Rotation.from_matrix(tool[:, :3]).as_rotvec()
@@ -114,7 +87,7 @@ class TestStart(unittest.TestCase):
 
     def test_ur5e(self):
         for q in list_joints():
-            pose = calc_dh_pose(q, _UR5E, (0, 0, 0.2))
+            pose = calc_dh_pose(q, UR5E, (0, 0, 0.2))
             with self.assertRaisesRegex(UserError, "mm and 0.0 deg from"):
                 start(make_report(q, pose, (0, 0, 0.2, 0, 0, 0)))
 
@@ -137,7 +110,7 @@ class TestStart(unittest.TestCase):
         modelled = kinematics.X_AS[-1][:, 3]
         for more, says in ((0.0, ""), (0.25, "is set 250 mm from")):
             p_FT = np.add(modelled, [0, 0, more])
-            report = make_report(q, calc_dh_pose(q, _UR10, p_FT))
+            report = make_report(q, calc_dh_pose(q, UR10, p_FT))
             line = mut.describe_tool(config, kinematics, report)
             self.assertEqual(bool(line), bool(says))
             self.assertIn(says, line)
@@ -230,7 +203,7 @@ class TestStep(unittest.TestCase):
         for i in range(500):
             q = path.calc_motion(0.008 * i)[0]
             report = make_report(
-                q, calc_dh_pose(q, _UR5E), timestamp=100 + 0.008 * i
+                q, calc_dh_pose(q, UR5E), timestamp=100 + 0.008 * i
             )
             match = mut.step_model_match(
                 config, make_kinematics(), match, report
@@ -243,7 +216,7 @@ class TestStep(unittest.TestCase):
         config, match = mut.ModelConfig(), mut.ModelMatch()
         q = list_joints()[0]
         for t in np.arange(100.0, 100.5, 0.008):
-            pose = calc_dh_pose(q, _UR10) if t < 100.2 else _NAN
+            pose = calc_dh_pose(q, UR10) if t < 100.2 else _NAN
             match = mut.step_model_match(
                 config,
                 make_kinematics(),

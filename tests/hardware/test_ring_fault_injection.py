@@ -68,7 +68,7 @@ class TestParse(unittest.TestCase):
             ("silent:elbow@-1", "no fault"),
             ("silent:elbow@nan", "no fault"),
             ("loud:elbow@1", "'loud' is unknown"),
-            ("status3:elbow@1", "'status3' is unknown"),
+            ("status99:elbow@1", "'status99' is unknown"),
             ("silent:wrist@1", "no ring 'wrist'"),
             ("silent:elbow@5-5", "ends before"),
             ("bus:elbow.@1", "no fault"),

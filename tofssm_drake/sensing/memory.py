@@ -7,7 +7,8 @@ and whoever uses it lets it close in. It ends with the next good sample.
 "Nothing came back" is what an empty room gives, but also one sample in a few
 hundred of a target that is there, and what a limb gives that turns its dark
 or shiny side for a moment. So a sensor that saw something must see nothing a
-few times in a row before it is clear.
+few times in a row before it is clear. A ring that does not see the robot where
+it must is blind itself: its "nothing" confirms nothing.
 
 "Something is there, but it cannot be measured" leaves no distance at all. Of
 a sensor that saw nothing before, one such sample is tolerated as a lost one;
@@ -63,6 +64,7 @@ def hold_obstacles(
     reading,
     fault,
     is_new,
+    is_proven,
     had_obstacle,
     no_returns,
     unmeasured,
@@ -76,6 +78,8 @@ def hold_obstacles(
         fault: `SensorFault` of each sensor, (n,).
         is_new: whether the sample is another one than in the scan before,
             (n,).
+        is_proven: whether the sensor's ring sees the robot where it must,
+            (n,); else a sample without a return confirms nothing.
         had_obstacle: whether the reading before was VALID or HELD, (n,).
         no_returns: samples in a row without a return, (n,); changed.
         unmeasured: samples in a row with a target but no distance, (n,);
@@ -93,6 +97,8 @@ def hold_obstacles(
             reading[i] = _FAULTED
             continue
         if fault[i] != _NONE or reading[i] != _CLEAR:
+            no_returns[i] = 0
+        elif not is_proven[i]:
             no_returns[i] = 0
         elif is_new[i]:
             no_returns[i] += 1

@@ -168,6 +168,10 @@ _NO_FAULT = int(SensorFault.NONE)
 _DEAD = int(SensorFault.DEAD)
 _EDGE_RAYS = 16
 
+# A sensor sees at least up to there what fills the middle of its cone, m: with
+# the model's range, all but 2 in 1000 times (assumed for others).
+_SURELY_SEEN = 0.9
+
 # A robot this slow does not move by a millimetre within the time margin,
 # rad/s.
 _STILL = 0.05
@@ -462,12 +466,14 @@ def _end_look(
 
 
 @njit(cache=True)
-def _remember(samples, told, time, report, is_dead, memory, motion):
+def _remember(samples, told, is_proven, time, report, is_dead, memory, motion):
     """Lets obstacles that sensors saw before count on, see `hold_obstacles`.
 
     Args:
         samples: the table, (15, N); HELD sensors get the sample before.
         told: readings, faults and how often in a row, (4, N); changed.
+        is_proven: whether each sensor's ring sees the robot where it must,
+            (N,).
         time: now, s.
         report: what the robot reported last, (15,).
         is_dead: whether each sensor is declared dead, (N,).
@@ -484,6 +490,7 @@ def _remember(samples, told, time, report, is_dead, memory, motion):
         told[_READING],
         told[_FAULT],
         is_new,
+        is_proven,
         samples[_HAD_OBSTACLE] > 0.0,
         told[_NO_RETURNS],
         told[_UNMEASURED],
@@ -568,10 +575,23 @@ def mask_scans(
         bundles=bundles,
         twin=twin,
     )
+    is_proven = np.ones(num_sensors, dtype=bool)
+    if config.enabled:
+        is_proven = _find_proven(
+            samples=samples,
+            told=told,
+            sensors_per_ring=n,
+            table=table,
+            caster=caster,
+            bundles=bundles,
+            twin=twin,
+            least=config.min_range,
+        )
     memory = config.memory
     _remember(
         samples,
         told,
+        is_proven,
         time,
         table[-1],
         np.zeros(num_sensors, dtype=bool) if is_dead is None else is_dead,
@@ -641,6 +661,77 @@ def _compare_with_twin(
                 told,
                 unsettled,
             )
+
+
+@njit(cache=True)
+def _choose_to_prove(samples, told, n):
+    """Returns which sensors must prove that they see, (N,).
+
+    All that see nothing, of rings in which one of them saw something before.
+    """
+    chosen = np.zeros(told.shape[1], dtype=np.bool_)
+    for first in range(0, told.shape[1], n):
+        for i in range(first, first + n):
+            if told[_READING, i] == _CLEAR and samples[_HAD_OBSTACLE, i] > 0.0:
+                for j in range(first, first + n):
+                    chosen[j] = told[_READING, j] == _CLEAR
+                break
+    return chosen
+
+
+@njit(cache=True)
+def _count_inner_hits(self_distance, is_inner, which, least, hits):
+    """Counts the inner rays that hit the robot where it must be seen.
+
+    Args:
+        self_distance: along each ray, m, (N, k); inf: none.
+        is_inner: whether a ray is well within the sensor's cone, (k,).
+        which: whether a sensor was cast, (N,).
+        least: nearest distance that can be measured, m.
+        hits: result, (N,).
+    """
+    for i in range(self_distance.shape[0]):
+        if which[i]:
+            for j in range(self_distance.shape[1]):
+                d = self_distance[i, j]
+                if is_inner[j] and least <= d <= _SURELY_SEEN:
+                    hits[i] += 1
+
+
+def _find_proven(
+    *, samples, told, sensors_per_ring, table, caster, bundles, twin, least
+):
+    """Tells for each sensor whether its ring sees the robot where it must.
+
+    Only rings in which a sensor is about to become clear are looked at: the
+    others are proven.
+    """
+    rest = _choose_to_prove(samples, told, sensors_per_ring)
+    hits = np.zeros(len(rest), dtype=int)
+    which = np.empty(len(rest), dtype=bool)
+    report = np.empty(_COLUMNS)
+    is_inner = _find_inner_rays(bundles.fan_S)
+    more = bool(rest.any())
+    while more:
+        more = _begin_look(samples, table, 0.0, rest, which, report)
+        X_WF = twin.calc(
+            report[_POSITION],
+            report[_GRIPPER_CLOSED],
+            report[_PRODUCTS_PLACED],
+        )
+        self_distance, _ = caster.cast_bundles(bundles, X_WF, which)
+        _count_inner_hits(self_distance, is_inner, which, least, hits)
+    misses = (hits >= 2).reshape(-1, sensors_per_ring).any(axis=1)
+    return np.repeat(~misses, sensors_per_ring)
+
+
+def _find_inner_rays(fan_S):
+    """Returns which rays lie at least 3 degrees within the fan's edge, (k,).
+
+    What only its edge grazes need not be seen.
+    """
+    angle = np.arccos(np.clip(fan_S[:, 0], -1.0, 1.0))
+    return angle < angle.max() - math.radians(3.0)
 
 
 def _load_scan(samples, told, first, n, scan, before):

@@ -1,0 +1,13 @@
+"""The fault table: faults of rings and of their links.
+
+The rows are in tests/hardware/fault_rows.py.
+"""
+
+from fault_cases import check_row, list_cases
+from fault_rows import RING_ROWS
+import pytest
+
+
+@pytest.mark.parametrize(("row", "moment"), list_cases(RING_ROWS))
+def test_fault(fault_cells, row, moment):
+    check_row(fault_cells[moment], row, moment)

@@ -1,0 +1,798 @@
+"""Watches the rings by what they see of the robot itself.
+
+`self_hits` has the statistics; here they meet the twin and the systems.
+"""
+
+from collections.abc import Sequence
+import dataclasses as dc
+import functools
+import itertools
+import math
+
+import numpy as np
+from pydrake.common.value import Value
+from pydrake.math import RigidTransform, RotationMatrix
+from pydrake.systems.framework import Context, DiscreteValues, EventStatus
+
+from tofssm_drake.errors import require_period
+from tofssm_drake.geometry.ray_caster import RayBundles, RayCaster
+from tofssm_drake.kernels import njit
+from tofssm_drake.leaf_system import DID_NOTHING, SUCCEEDED, LeafSystem
+from tofssm_drake.messages import (
+    RINGS,
+    MaskedScan,
+    RingHealth,
+    RingScan,
+    SelfHitHealth,
+    SensorFault,
+    Separation,
+    make_empty_self_hit_health,
+    make_empty_separation,
+)
+from tofssm_drake.sensing.occlusion_mask import (
+    REPORT_SIZE,
+    OcclusionMaskConfig,
+    Twin,
+)
+from tofssm_drake.sensing.ring_mount import RingMount
+from tofssm_drake.sensing.self_hits import (
+    MISPLACED,
+    MISS,
+    MODEL,
+    Misfit,
+    SelfHitConfig,
+    classify_self_hits,
+    list_misfits,
+    list_swaps,
+    make_no_expectation,
+    make_orders,
+    make_self_hit_fan,
+    must_see,
+    name_order,
+    step_misfit,
+    step_orders,
+    step_sensors,
+    widen_expectation,
+)
+from tofssm_drake.sensing.tof_rings import TofRingConfig
+from tofssm_drake.sensing.vl53l1x import (
+    STATUS_NO_NEW_DATA,
+    calc_cast_range,
+)
+
+# A robot this slow does not move by a millimetre within the time margin,
+# rad/s.
+_STILL = 0.05
+
+# Samples of one scan that lie farther apart than this are not compared with
+# one pose of the robot, s (*assumed*: half a ring's period).
+_SPREAD = 0.012
+
+# After the gripper or the count of products has changed, it is not certain
+# for so long what the robot carried at a sample's time, s (*assumed*: more
+# than a sample's greatest age).
+_UNCERTAIN = 0.1
+
+# Of the looks at a robot that has not moved, so many make one that counts.
+_REST_LOOKS = 5
+
+
+@dc.dataclass(frozen=True, eq=False, kw_only=True)
+class SelfHitModel:
+    """What is needed to tell what m rings of n sensors should see.
+
+    Made by `make_self_hit_model`.
+    """
+
+    config: SelfHitConfig
+    name: tuple[str, ...]
+    """The rings; the last one is the tool's."""
+    caster: RayCaster
+    twin: Twin
+    num_wide: int
+    """See `make_self_hit_fan`."""
+    believed: RayBundles
+    """Rays of all rings' sensors as the model has them."""
+    misfits: tuple[Misfit, ...]
+    """Those of single rings first."""
+    moved: RayBundles | None
+    """Rays of the ring that is moved, misfit by misfit; None: there are no
+    misfits of single rings. They are cast in one go."""
+    orders: np.ndarray
+    """See `make_orders`."""
+    swaps: np.ndarray
+    """See `list_swaps`, (s, 2)."""
+    limits: tuple[float, float, float]
+    """Tolerance, least and greatest distance of `classify_self_hits`, m."""
+    scores: tuple[float, float, float, float]
+    """Those of `calc_step`."""
+    time_margin: float
+    """How uncertain the time of a sample is, s."""
+
+    @property
+    def num_sensors(self) -> int:
+        """Sensors of a ring, n."""
+        return self.believed.num_bundles // len(self.name)
+
+
+def move_mount(mount: RingMount, turn: float, shift: float) -> list:
+    """Returns X_FS of a ring turned about its z (rad), and moved along (m)."""
+    X_FL = mount.X_FS[0] @ mount.X_LS[0].inverse()
+    X_LL = RigidTransform(RotationMatrix.MakeZRotation(turn), [0, 0, shift])
+    return [X_FL @ X_LL @ X_LS for X_LS in mount.X_LS]
+
+
+def _make_bundles(caster, fan_S, max_range, rings):
+    """Returns rays of rings, each a mount and the poses of its sensors."""
+    return caster.make_bundles(
+        frame_id=[mount.frame_id for mount, X in rings for _ in X],
+        X_FS=[X_FS for _, X in rings for X_FS in X],
+        fan_S=fan_S,
+        max_range=max_range,
+        excluded=[mount.geometry_ids for mount, X in rings for _ in X],
+    )
+
+
+def make_self_hit_model(
+    *,
+    config: SelfHitConfig,
+    mask_config: OcclusionMaskConfig,
+    ring_config: TofRingConfig,
+    caster: RayCaster,
+    mounts: Sequence[RingMount],
+    twin: Twin,
+    name: tuple[str, ...] = RINGS,
+) -> SelfHitModel:
+    """Makes the model of what rings should see.
+
+    Args:
+        config: settings.
+        mask_config: tolerance, rays, margins; the mask's own.
+        ring_config: field of view and range of the sensors.
+        caster: of the twin's SceneGraph.
+        mounts: the rings on the twin.
+        twin: gives the poses of `caster.frame_ids`.
+        name: of the rings, in the order of `mounts`.
+
+    Raises:
+        UserError: if a setting is out of range.
+    """
+    config.check("self_hits")
+    fan_S, num_wide = make_self_hit_fan(config, mask_config, ring_config)
+    max_range = calc_cast_range(ring_config.sensor) + mask_config.tolerance
+    misfits = list_misfits(config, len(mounts))
+    moved = [
+        (mounts[m.ring], move_mount(mounts[m.ring], m.turn, m.shift))
+        for m in misfits
+        if m.ring >= 0
+    ]
+    make_bundles = functools.partial(_make_bundles, caster, fan_S, max_range)
+    return SelfHitModel(
+        config=config,
+        name=tuple(name),
+        caster=caster,
+        twin=twin,
+        num_wide=num_wide,
+        believed=make_bundles([(mount, mount.X_FS) for mount in mounts]),
+        misfits=misfits,
+        moved=make_bundles(moved) if moved else None,
+        orders=make_orders(len(mounts[0].X_FS)),
+        swaps=np.array(list_swaps(len(mounts)), dtype=np.int64).reshape(-1, 2),
+        limits=(
+            mask_config.tolerance,
+            mask_config.min_range,
+            config.max_distance,
+        ),
+        scores=(
+            config.full_width,
+            config.alone_score,
+            config.miss_score,
+            config.score_limit,
+        ),
+        time_margin=mask_config.time_margin,
+    )
+
+
+@dc.dataclass(frozen=True, eq=False, kw_only=True)
+class SelfHitState:
+    """All that is remembered: views of one vector, see `view_state`."""
+
+    sensor_sum: np.ndarray
+    """Of each sensor's test, (N,)."""
+    sensor_alarm: np.ndarray
+    """0 or 1, (N,)."""
+    misfit_sum: np.ndarray
+    """Of each test for a misfit, (b,): orders ring by ring, swaps, misfits."""
+    misfit_alarm: np.ndarray
+    """0 or 1, (b,)."""
+    expectation: np.ndarray
+    """What was expected of each sensor at its last look, (3, N)."""
+    position: np.ndarray
+    """Joints when each ring was last looked at for misfits, rad, (m, 6)."""
+    sequence: np.ndarray
+    """Of the last scan of each ring, (m,); -1: none."""
+    carried: np.ndarray
+    """Gripper closed, products placed, and when one changed, s, (3,)."""
+    rest: np.ndarray
+    """How often the robot had not moved when it was looked at, (1,)."""
+
+
+@functools.lru_cache(maxsize=8)
+def _lay_out(rings, sensors, tests):
+    """Returns where in the vector each field is, and its shape."""
+    shapes = {
+        "sensor_alarm": (sensors,),
+        "misfit_alarm": (tests,),
+        "sensor_sum": (sensors,),
+        "misfit_sum": (tests,),
+        "expectation": (3, sensors),
+        "position": (rings, 6),
+        "sequence": (rings,),
+        "carried": (3,),
+        "rest": (1,),
+    }
+    sizes = [math.prod(shape) for shape in shapes.values()]
+    ends = list(itertools.accumulate(sizes))
+    return [
+        (name, slice(end - size, end), shape)
+        for (name, shape), size, end in zip(
+            shapes.items(), sizes, ends, strict=True
+        )
+    ]
+
+
+def _lay_out_model(model):
+    m = len(model.name)
+    tests = m * len(model.orders) + len(model.swaps) + len(model.misfits)
+    return _lay_out(m, model.believed.num_bundles, tests)
+
+
+def make_state_vector(model: SelfHitModel) -> np.ndarray:
+    """Returns the vector of a state in which nothing was seen yet."""
+    vector = np.zeros(_lay_out_model(model)[-1][1].stop)
+    state = view_state(model, vector)
+    state.expectation[:] = make_no_expectation(len(state.sensor_sum))
+    state.position[:] = np.inf
+    state.sequence[:] = -1.0
+    state.carried[2] = -np.inf
+    return vector
+
+
+def view_state(model: SelfHitModel, vector: np.ndarray) -> SelfHitState:
+    """Returns the parts of a state's vector; they write into it."""
+    return SelfHitState(
+        **{
+            name: vector[part].reshape(shape)
+            for name, part, shape in _lay_out_model(model)
+        }
+    )
+
+
+@dc.dataclass(frozen=True, eq=False, kw_only=True)
+class Look:
+    """New scans of rings that sampled together, and the robot's report.
+
+    The arrays are of all N sensors of all rings.
+    """
+
+    rings: tuple[int, ...]
+    """Which rings have been looked at."""
+    which: np.ndarray
+    """Whether a sensor is one of theirs, (N,)."""
+    distance: np.ndarray
+    """As measured, m, (N,)."""
+    status: np.ndarray
+    """Range status; "no new data" for samples of another time, (N,)."""
+    q: np.ndarray
+    """Measured joints, rad, (6,)."""
+    qd: np.ndarray
+    """Their speeds, rad/s, (6,)."""
+    spread: float
+    """The samples were taken within so long before and after, s."""
+    gripper_closed: float
+    products_placed: float
+
+
+@njit(cache=True)
+def average_motion(sensor_time, position, velocity, limit, near, motion):
+    """Averages the robot's motion over samples that lie close together.
+
+    Args:
+        sensor_time: of a ring's samples, s, (n,); those that are not finite
+            do not count.
+        position: joints at these times, rad, (n, 6).
+        velocity: their speeds, rad/s, (n, 6).
+        limit: samples farther from the newest one do not count, s.
+        near: result, which samples count, (n,).
+        motion: result, means of both, (2, 6).
+
+    Returns:
+        From the middle of the times to the first and last, s; -1: there is
+        no sample.
+    """
+    newest = -np.inf
+    oldest = np.inf
+    for t in sensor_time:
+        if t < np.inf:
+            newest = max(newest, t)
+    count = 0
+    motion[:] = 0.0
+    for i in range(sensor_time.shape[0]):
+        near[i] = abs(newest - sensor_time[i]) <= limit
+        if near[i]:
+            oldest = min(oldest, sensor_time[i])
+            motion[0] += position[i]
+            motion[1] += velocity[i]
+            count += 1
+    if count == 0:
+        return -1.0
+    motion /= count
+    return 0.5 * (newest - oldest)
+
+
+def make_looks(
+    scans: Sequence[RingScan | None],
+    masked_scans: Sequence[MaskedScan],
+    carried: np.ndarray,
+) -> list[Look]:
+    """Makes looks of new scans, one of all rings that sampled together.
+
+    Args:
+        scans: of n sensors each, as they came; None where there is none.
+        masked_scans: of the same scans, for the robot's motion.
+        carried: gripper closed and products placed, (2,).
+    """
+    groups: dict[bytes, list[int]] = {}
+    for ring, scan in enumerate(scans):
+        if scan is not None:
+            groups.setdefault(scan.sensor_time.tobytes(), []).append(ring)
+    looks = []
+    for rings in groups.values():
+        first = scans[rings[0]]
+        masked_scan = masked_scans[rings[0]]
+        shape = len(scans), len(first.status)
+        near = np.empty(shape[1], dtype=bool)
+        motion = np.empty((2, 6))
+        spread = average_motion(
+            first.sensor_time,
+            masked_scan.position,
+            masked_scan.velocity,
+            _SPREAD,
+            near,
+            motion,
+        )
+        if spread < 0.0:
+            continue
+        distance = np.zeros(shape)
+        status = np.full(shape, STATUS_NO_NEW_DATA, dtype=np.uint8)
+        which = np.zeros(shape, dtype=bool)
+        for ring in rings:
+            distance[ring] = scans[ring].distance
+            status[ring, near] = scans[ring].status[near]
+            which[ring] = True
+        looks.append(
+            Look(
+                rings=tuple(rings),
+                which=which.ravel(),
+                distance=distance.ravel(),
+                status=status.ravel(),
+                q=motion[0],
+                qd=motion[1],
+                spread=spread,
+                gripper_closed=float(carried[0]),
+                products_placed=float(carried[1]),
+            )
+        )
+    return looks
+
+
+def expect(
+    model: SelfHitModel,
+    look: Look,
+    bundles: RayBundles,
+    expectation: np.ndarray,
+    *,
+    shift: float = 0.0,
+    offset: float = 0.0,
+    which: np.ndarray | None = None,
+) -> None:
+    """Tells what a look's sensors may and must see.
+
+    Args:
+        model: casts the rays on the twin.
+        look: which rings, and where the robot was.
+        bundles: the rays, of the model.
+        expectation: widened, see `widen_expectation`, (3, N).
+        shift: when after the samples' time to look at the robot, s.
+        offset: what the first joint has more than reported, rad.
+        which: the sensors, (N,); None: all of the look's.
+    """
+    q = look.q + shift * look.qd
+    q[0] += offset
+    distance, _ = model.caster.cast_bundles(
+        bundles,
+        model.twin.calc(q, look.gripper_closed, look.products_placed),
+        look.which if which is None else which,
+    )
+    widen_expectation(distance, model.num_wide, expectation)
+
+
+def count_look(model: SelfHitModel, state: SelfHitState, look: Look) -> None:
+    """Lets a look count in all tests.
+
+    Args:
+        model: what to expect.
+        state: changed.
+        look: not yet counted.
+    """
+    config = model.config
+    n = model.num_sensors
+    expectation = make_no_expectation(len(look.which))
+    outcome = np.empty(len(look.which), dtype=np.int64)
+
+    def classify():
+        return classify_self_hits(
+            look.distance, look.status, expectation, *model.limits, outcome
+        )
+
+    expect(model, look, model.believed, expectation)
+    is_odd = classify()
+    margin = model.time_margin + look.spread
+    if is_odd and margin > 0.0 and np.abs(look.qd).max() > _STILL:
+        expect(model, look, model.believed, expectation, shift=margin)
+        expect(model, look, model.believed, expectation, shift=-margin)
+        is_odd = classify()
+    step_sensors(
+        state.sensor_sum,
+        state.sensor_alarm,
+        outcome,
+        must_see(expectation, *model.limits[1:]),
+        config.miss_rate,
+        config.broken_rate,
+        config.sensor_threshold,
+    )
+    state.expectation[:, look.which] = expectation[:, look.which]
+    first = look.rings[0]
+    if np.abs(look.q - state.position[first]).max() < config.min_motion:
+        return
+    for ring in look.rings:
+        state.position[ring] = look.q
+    if not (is_odd or state.misfit_sum.any()):
+        return
+    odd = (outcome >= MISS).reshape(-1, n).any(axis=1)
+    for ring in look.rings:
+        _try_orders(model, state, look, outcome, ring, odd[ring])
+    _try_misfits(model, state, look, outcome, odd)
+
+
+def _try_orders(model, state, look, outcome, ring, is_odd):
+    """Counts a look in the tests for sensors or rings numbered otherwise."""
+    n = model.num_sensors
+    sensors = slice(n * ring, n * ring + n)
+    step_orders(
+        state.misfit_sum,
+        state.misfit_alarm,
+        ring,
+        is_odd,
+        look.distance[sensors],
+        look.status[sensors],
+        state.expectation,
+        model.orders,
+        model.swaps,
+        outcome[sensors],
+        model.limits,
+        model.scores,
+        model.config.misfit_threshold,
+    )
+
+
+def _try_misfits(model, state, look, outcome, odd):
+    """Counts a look in the tests for misfits that need rays of their own.
+
+    Where all is as believed nothing can fit better: a sum that is 0 stays so
+    and is not tried. Of the others a single one is tried then, and counts for
+    all of them: they get what is against them in turns.
+    """
+    first = len(state.misfit_sum) - len(model.misfits)
+    tried = []
+    live = []
+    for i, misfit in enumerate(model.misfits):
+        if misfit.ring >= 0 and misfit.ring not in look.rings:
+            continue
+        if odd.any() if misfit.ring < 0 else odd[misfit.ring]:
+            tried.append((i, 1))
+        elif state.misfit_sum[first + i] > 0.0:
+            live.append(i)
+    if live:
+        turn = int(state.sequence[look.rings[0]]) % len(live)
+        tried.append((live[turn], len(live)))
+    n = model.num_sensors
+    expectations = _expect_moved(
+        model, look, [i for i, _ in tried if model.misfits[i].ring >= 0]
+    )
+    for i, weight in tried:
+        misfit = model.misfits[i]
+        if misfit.ring >= 0:
+            sensors = slice(n * misfit.ring, n * misfit.ring + n)
+            expectation = expectations[:, n * i : n * i + n]
+        else:
+            sensors = slice(None)
+            expectation = make_no_expectation(len(look.which))
+            expect(
+                model,
+                look,
+                model.believed,
+                expectation,
+                shift=misfit.delay,
+                offset=misfit.offset,
+            )
+        step_misfit(
+            state.misfit_sum,
+            state.misfit_alarm,
+            first + i,
+            look.distance[sensors],
+            look.status[sensors],
+            expectation,
+            outcome[sensors],
+            model.limits,
+            model.scores,
+            model.config.misfit_threshold,
+            weight,
+        )
+
+
+def _expect_moved(model, look, misfits):
+    """Returns what rings see that are moved, misfit by misfit, (3, k n)."""
+    if not misfits:
+        return None
+    n = model.num_sensors
+    which = np.zeros(model.moved.num_bundles, dtype=bool)
+    for i in misfits:
+        which[n * i : n * i + n] = True
+    expectation = make_no_expectation(len(which))
+    expect(model, look, model.moved, expectation, which=which)
+    return expectation
+
+
+def describe_test(
+    model: SelfHitModel, test: int
+) -> tuple[str, tuple[int, ...], str]:
+    """Tells what a test for a misfit is about.
+
+    Args:
+        model: its tests.
+        test: index into `SelfHitState.misfit_sum`.
+
+    Returns:
+        MISPLACED or MODEL, the rings that it concerns, and a text.
+    """
+    m, p, s = len(model.name), len(model.orders), len(model.swaps)
+    if test < m * p:
+        ring, order = divmod(test, p)
+        text = name_order(model.orders[order])
+        return MISPLACED, (ring,), f"{model.name[ring]} ring fits if {text}"
+    if test < m * p + s:
+        pair = tuple(model.swaps[test - m * p].tolist())
+        a, b = (model.name[i] for i in pair)
+        return MISPLACED, pair, f"{a} and {b} rings fit if swapped"
+    misfit = model.misfits[test - m * p - s]
+    if misfit.kind == MODEL:
+        return MODEL, tuple(range(m)), f"fits with {misfit.text}"
+    name = model.name[misfit.ring]
+    return MISPLACED, (misfit.ring,), f"{name} ring fits if {misfit.text}"
+
+
+def tell_health(model: SelfHitModel, state: SelfHitState) -> SelfHitHealth:
+    """Makes the message of what the tests say.
+
+    A sensor's alarm also tells the misfit that explains it best, if there is
+    one: where a ring is turned, single sensors miss the robot first.
+    """
+    m, n = len(model.name), model.num_sensors
+    unseen = state.sensor_alarm.reshape(m, n) > 0.0
+    lines = [[] for _ in range(m)]
+    # The best explanation first.
+    for test in np.argsort(-state.misfit_sum, kind="stable").tolist():
+        if state.misfit_sum[test] < model.config.name_threshold:
+            break
+        kind, rings, text = describe_test(model, test)
+        for ring in rings:
+            if not lines[ring] and (
+                state.misfit_alarm[test] or unseen[ring].any()
+            ):
+                lines[ring].append(f"{kind}: {text}")
+    for ring in range(m):
+        if unseen[ring].any():
+            sensors = ", ".join(map(str, np.flatnonzero(unseen[ring])))
+            lines[ring].append(
+                f"unseen self-hit: {model.name[ring]} sensor {sensors}"
+            )
+    # An alarm whose sum is on its way down has still to be told.
+    for test in np.flatnonzero(state.misfit_alarm):
+        kind, rings, text = describe_test(model, test)
+        for ring in rings:
+            lines[ring] = lines[ring] or [f"{kind}: {text}"]
+    return SelfHitHealth(
+        name=model.name,
+        fault=np.where(
+            unseen, SensorFault.UNSEEN_SELF_HIT, SensorFault.NONE
+        ).astype(np.uint8),
+        problem=tuple("; ".join(line) for line in lines),
+    )
+
+
+class SelfHitWatch(LeafSystem):
+    """Watches whether the rings see the robot where the twin says they must.
+
+    .. pydrake_system::
+
+        name: SelfHitWatch
+        input_ports:
+        - scan_base
+        - scan_elbow
+        - scan_tool
+        - masked_scan_base
+        - masked_scan_elbow
+        - masked_scan_tool
+        - robot_report
+        output_ports:
+        - self_hit_health
+
+    Once a period, scans that are new count in all tests (`count_look`). A
+    scan that is missed so is no loss: the tests take seconds. The masked
+    scans tell how the robot was at the samples' times. An alarm ends when the
+    readings have spoken for the model as often as against it.
+    """
+
+    def __init__(self, *, model: SelfHitModel, period: float = 0.024):
+        """Constructs the system.
+
+        Args:
+            model: from `make_self_hit_model`.
+            period: from look to look, s; that of the rings is enough.
+
+        Raises:
+            UserError: if the period is none.
+        """
+        super().__init__()
+        require_period(period)
+        self._model = model
+        self._empty = make_empty_self_hit_health(model.name, model.num_sensors)
+        self._scans = [
+            self.DeclareAbstractInputPort(f"scan_{ring}", Value(RingScan()))
+            for ring in model.name
+        ]
+        self._masked_scans = [
+            self.DeclareAbstractInputPort(
+                f"masked_scan_{ring}", Value(MaskedScan())
+            )
+            for ring in model.name
+        ]
+        self._report = self.DeclareVectorInputPort("robot_report", REPORT_SIZE)
+        vector = make_state_vector(model)
+        state = view_state(model, vector)
+        # They come first.
+        self._alarms = slice(len(state.sensor_alarm) + len(state.misfit_alarm))
+        self._state = self.DeclareDiscreteState(vector)
+        self.DeclareAbstractOutputPort(
+            "self_hit_health",
+            Value(self._empty).Clone,
+            self._calc_health,
+            prerequisites_of_calc={self.discrete_state_ticket(self._state)},
+        )
+        if model.config.enabled:
+            self.DeclarePeriodicDiscreteUpdateEvent(period, 0.0, self._watch)
+
+    def _watch(
+        self, context: Context, discrete_state: DiscreteValues
+    ) -> EventStatus:
+        scans = [port.Eval(context) for port in self._scans]
+        now = context.get_discrete_state(self._state).value()
+        before = view_state(self._model, now)
+        sequence = [scan.sequence for scan in scans]
+        report = self._report.Eval(context)
+        carried = report[-2:]
+        has_changed = (carried != before.carried[:2]).any()
+        last = before.sequence.tolist()
+        if sequence == last and not has_changed:
+            return DID_NOTHING
+        state = view_state(
+            self._model, discrete_state.get_mutable_value(self._state)
+        )
+        state.sequence[:] = sequence
+        if has_changed:
+            state.carried[:2] = carried
+            state.carried[2] = context.get_time()
+        if context.get_time() < state.carried[2] + _UNCERTAIN:
+            return SUCCEEDED
+        moved = np.abs(report[:6] - before.position).max()
+        if moved < self._model.config.min_motion:
+            state.rest[0] += 1.0
+            if state.rest[0] % _REST_LOOKS:
+                return SUCCEEDED
+        masked_scans = [port.Eval(context) for port in self._masked_scans]
+        looks = make_looks(
+            [
+                # Not the same: a mask that has not yet seen it.
+                scan
+                if was != scan.sequence == masked_scan.scan.sequence
+                else None
+                for scan, was, masked_scan in zip(
+                    scans, last, masked_scans, strict=True
+                )
+            ],
+            masked_scans,
+            carried,
+        )
+        for look in looks:
+            count_look(self._model, state, look)
+        return SUCCEEDED
+
+    def _calc_health(self, context: Context, output):
+        vector = context.get_discrete_state(self._state).value()
+        before = output.get_value()
+        if not vector[self._alarms].any():
+            if before is not self._empty:
+                output.set_value(self._empty)
+            return
+        health = tell_health(self._model, view_state(self._model, vector))
+        if (
+            health.problem != before.problem
+            or (health.fault != before.fault).any()
+        ):
+            output.set_value(health)
+
+
+def apply_health(separation: Separation, health: SelfHitHealth) -> Separation:
+    """Returns a separation whose links with a problem are faulted."""
+    if not any(health.problem):
+        return separation
+    is_bad = [line != "" for line in health.problem]
+    return dc.replace(
+        separation,
+        health=np.where(is_bad, RingHealth.FAULTED, separation.health),
+    )
+
+
+class SelfHitStop(LeafSystem):
+    """Makes links faulted whose ring does not see the robot where it must.
+
+    .. pydrake_system::
+
+        name: SelfHitStop
+        input_ports:
+        - separation
+        - self_hit_health
+        output_ports:
+        - separation
+
+    Args:
+        name: the links.
+    """
+
+    def __init__(self, name: tuple[str, ...] = RINGS):
+        super().__init__()
+        separation = make_empty_separation(name)
+        health = make_empty_self_hit_health(name)
+        self._separation = self.DeclareAbstractInputPort(
+            "separation", Value(separation)
+        )
+        self._health = self.DeclareAbstractInputPort(
+            "self_hit_health", Value(health)
+        )
+        self.DeclareAbstractOutputPort(
+            "separation",
+            Value(separation).Clone,
+            self._calc_separation,
+            prerequisites_of_calc={
+                self._separation.ticket(),
+                self._health.ticket(),
+            },
+        )
+
+    def _calc_separation(self, context: Context, output):
+        output.set_value(
+            apply_health(
+                self._separation.Eval(context), self._health.Eval(context)
+            )
+        )
