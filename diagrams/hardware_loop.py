@@ -5,7 +5,6 @@ import math
 import time
 
 import numpy as np
-from pydrake.common.value import AbstractValue
 from pydrake.geometry import Meshcat
 from pydrake.systems.framework import Context
 
@@ -29,7 +28,6 @@ from tofssm_drake.messages import (
 )
 from tofssm_drake.robot.kinematics import RingKinematics
 from tofssm_drake.robot.program import make_program_path
-from tofssm_drake.ssm.sensing_problem import find_sensing_problem
 from tofssm_drake.visualization.health_board import (
     BLIND,
     FAULT,
@@ -114,132 +112,6 @@ def describe_links(result: TickResult, *, deadline: float) -> dict[str, str]:
     return status
 
 
-def _update(system, context):
-    """Makes a system's forced update, in place."""
-    system.CalcForcedUnrestrictedUpdate(context, context.get_mutable_state())
-
-
-class _Ticker:
-    """Ticks on a Context of its own.
-
-    Args:
-        workcell: Of a hardware station; several tickers may share it.
-        context: To begin with.
-        deadline: How old the law lets a sample be, s.
-    """
-
-    def __init__(self, workcell: Workcell, context: Context, deadline: float):
-        self._deadline = deadline
-        # All is looked up once, not in each tick.
-        station = workcell.station.diagram
-        self._monitor = workcell.diagram.GetSubsystemByName("monitor")
-        self._mask = self._monitor.GetSubsystemByName("mask")
-        self._answers = {
-            name: self._monitor.GetOutputPort(name)
-            for name in (
-                "robot_state",
-                "ring_states",
-                "reason",
-                "speed_fraction",
-                "separation",
-            )
-        }
-        self._publisher = station.GetSubsystemByName("robot_publisher")
-        slider = station.GetSubsystemByName("slider_control")
-        self._slider_state = slider.GetOutputPort("slider")
-        self.simulator = make_simulator(workcell.diagram, context)
-        root = self.simulator.get_mutable_context()
-        self._monitor_context = self._monitor.GetMyContextFromRoot(root)
-        self._mask_context = self._mask.GetMyMutableContextFromRoot(root)
-        self._publisher_context = self._publisher.GetMyContextFromRoot(root)
-        self._robot_context = station.GetSubsystemByName(
-            "robot_subscriber"
-        ).GetMyMutableContextFromRoot(root)
-        self._slider_context = slider.GetMyMutableContextFromRoot(root)
-        self._shown_report, self._shown_problem = (
-            slider.GetInputPort(name).FixValue(
-                self._slider_context, AbstractValue.Make(value)
-            )
-            for name, value in (("report", RobotReport()), ("problem", ""))
-        )
-        self._problem = ""
-        self._reasons_for = self._reason = None
-        self._taken = None
-        self._rings = None
-        if workcell.station.rings is not None:
-            self._rings = station.GetSubsystemByName("ring_subscriber")
-            self._ring_context = self._rings.GetMyMutableContextFromRoot(root)
-            self._clock_offset = self._rings.GetInputPort(
-                "clock_offset"
-            ).FixValue(self._ring_context, [0.0])
-        self._initialized = False
-
-    def tick(self, given: TickInput) -> tuple[SliderState, str]:
-        """Computes and publishes; returns slider and `TickResult.problem`.
-
-        Args:
-            given: What is new; the station's connections hold the same.
-        """
-        if not self._initialized:
-            # With the first report, or the record would begin without one.
-            self._show_offset(given.clock_offset)
-            self.simulator.Initialize()
-            self._initialized = True
-            # The events of the first tick come with the first advance.
-            self._take_scans(given.scans)
-        self._robot_context.SetAbstractState(0, given.report)
-        self.simulator.AdvanceTo(given.time)
-        self._show_offset(given.clock_offset)
-        self._take_scans(given.scans)
-        # The tick's own events: without it they would wait for the next one.
-        self.simulator.AdvancePendingEvents()
-        problem = find_sensing_problem(
-            index=self.ask("separation"),
-            now=given.time,
-            deadline=self._deadline,
-        )
-        self._shown_report.GetMutableData().set_value(given.report)
-        if problem != self._problem:
-            self._problem = problem
-            self._shown_problem.GetMutableData().set_value(problem)
-        self._publisher.ForcedPublish(self._publisher_context)
-        # What was published is remembered; a forced update would compute it
-        # anew.
-        slider = self._slider_state.Eval(self._slider_context)
-        self._slider_context.SetAbstractState(0, slider)
-        return slider, problem
-
-    def ask(self, name: str):
-        """Returns what an output of the monitor says after the tick."""
-        return self._answers[name].Eval(self._monitor_context)
-
-    def ask_reason(self) -> str:
-        """Returns `reason`; words are made for what is new only."""
-        reasons_for = self.ask("separation"), self.ask("robot_state")[0]
-        if reasons_for != self._reasons_for:
-            self._reasons_for = reasons_for
-            self._reason = self.ask("reason")
-        return self._reason
-
-    def _take_scans(self, scans):
-        """Lets subscriber and mask look, if there is anything to see."""
-        if self._rings is None:
-            return
-        if [scan.sequence for scan in scans] == self._taken:
-            return
-        _update(self._rings, self._ring_context)
-        _update(self._mask, self._mask_context)
-        self._taken = [
-            self._rings.get_output_port(i).Eval(self._ring_context).sequence
-            for i in range(len(RINGS))
-        ]
-
-    def _show_offset(self, clock_offset):
-        if self._rings is not None:
-            offset = self._clock_offset.GetMutableData().get_mutable_value()
-            offset[0] = clock_offset
-
-
 class HardwareLoop:
     """The monitor in a loop with a station that is handed its data.
 
@@ -283,13 +155,17 @@ class HardwareLoop:
             station=self._station,
             meshcat=meshcat,
             with_samples=with_samples,
-            masks_periodically=virtual_rings,
         )
+        station = self._station.diagram
+        self._publisher = station.GetSubsystemByName("robot_publisher")
+        self._slider = station.GetSubsystemByName("slider_control")
+        self._problem = station.GetSubsystemByName("sensing_problem")
+        self._monitor = self._workcell.diagram.GetSubsystemByName("monitor")
         self._board = None
         self._sent = math.nan
-        self._ticker = self._make_ticker(0)
+        self._begin(random_seed=0)
         self._warm_up()
-        self._ticker = self._make_ticker(scenario.random_seed)
+        self._begin(random_seed=scenario.random_seed)
         if meshcat is not None:
             self._board = HealthBoard(meshcat=meshcat)
         self._sending = True
@@ -302,7 +178,7 @@ class HardwareLoop:
     @property
     def context(self) -> Context:
         """The workcell's Context after the last tick."""
-        return self._ticker.simulator.get_context()
+        return self._context
 
     def tick(self, given: TickInput) -> TickResult:
         """Takes a report, computes, and sends the command.
@@ -315,36 +191,54 @@ class HardwareLoop:
         """
         self._station.robot.report = given.report
         if self._station.rings is not None:
-            self._station.rings.scans = given.scans
+            self._station.rings.take(
+                given.scans, clock_offset=given.clock_offset
+            )
         self._sent = math.nan
-        slider, problem = self._ticker.tick(given)
-        result = self._read(given, problem, slider)
+        if not self._has_begun:
+            self._simulator.Initialize()
+            self._has_begun = True
+        self._simulator.AdvanceTo(given.time)
+        # The events of that very time: they would else wait for the next tick.
+        self._simulator.AdvancePendingEvents()
+        self._publisher.ForcedPublish(
+            self._publisher.GetMyContextFromRoot(self._context)
+        )
+        result = self._read(given)
         if self._board is not None:
             self._board.show(describe_links(result, deadline=self._deadline))
         return result
 
-    def _read(self, given, problem, slider):
-        ask = self._ticker.ask
-        report = given.report
+    def _begin(self, random_seed):
+        """Starts from a new Context."""
+        self._simulator = make_simulator(
+            self._workcell.diagram, self._workcell.make_context(random_seed)
+        )
+        self._context = self._simulator.get_context()
+        self._has_begun = False
+
+    def _ask(self, system, name):
+        """Returns what an output says after the tick."""
+        return system.GetOutputPort(name).Eval(
+            system.GetMyContextFromRoot(self._context)
+        )
+
+    def _read(self, given):
+        report, monitor = given.report, self._monitor
         return TickResult(
             time=given.time,
-            robot_state=int(ask("robot_state")[0]),
-            ring_states=tuple(int(s) for s in ask("ring_states")),
-            reason=self._ticker.ask_reason(),
-            problem=problem,
-            speed_fraction=float(ask("speed_fraction")[0]),
-            slider=slider,
-            separation=ask("separation"),
+            robot_state=int(self._ask(monitor, "robot_state")[0]),
+            ring_states=tuple(
+                int(s) for s in self._ask(monitor, "ring_states")
+            ),
+            reason=self._ask(monitor, "reason"),
+            problem=self._ask(self._problem, "problem"),
+            speed_fraction=float(self._ask(monitor, "speed_fraction")[0]),
+            slider=self._ask(self._slider, "slider"),
+            separation=self._ask(monitor, "separation"),
             products_placed=max(report.products_placed, 0),
             task_done=report.products_placed >= self._scenario.program.products,
             sent=self._sent,
-        )
-
-    def _make_ticker(self, random_seed):
-        return _Ticker(
-            self._workcell,
-            self._workcell.make_context(random_seed),
-            self._deadline,
         )
 
     def _send_if_live(self, command):

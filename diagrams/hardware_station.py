@@ -3,9 +3,10 @@
 import dataclasses as dc
 
 from pydrake.systems.framework import DiagramBuilder
+from pydrake.systems.primitives import ConstantVectorSource
 
 from tofssm_drake.diagrams.ring_world import add_ring_world, make_scene
-from tofssm_drake.diagrams.scenario import NoHuman, Scenario
+from tofssm_drake.diagrams.scenario import NoHuman, Scenario, make_law
 from tofssm_drake.diagrams.station import Station
 from tofssm_drake.hardware.held_connections import HeldRings, HeldRobot
 from tofssm_drake.hardware.ring_systems import (
@@ -23,6 +24,7 @@ from tofssm_drake.hardware.slider import SliderConfig
 from tofssm_drake.messages import RINGS
 from tofssm_drake.robot.kinematics import RingKinematics
 from tofssm_drake.robot.program import make_program_path
+from tofssm_drake.ssm.sensing_problem import SensingProblem
 
 
 @dc.dataclass(frozen=True, eq=False, kw_only=True)
@@ -50,6 +52,7 @@ def make_hardware_station(
         name: station
         input_ports:
         - speed_fraction
+        - separation
         output_ports:
         - scan_base
         - scan_elbow
@@ -62,16 +65,13 @@ def make_hardware_station(
         - geometry_query
         - skeleton
 
-    The ports are those of `make_station`, and so is their order. Of a real
-    person nothing is known: the scene has none, and `skeleton` is empty.
+    The ports are those of `make_station`, and so is their order; besides,
+    the slider's control wants to know from `separation` whether the sensing
+    is fresh and healthy. Of a real person nothing is known: the scene has
+    none, and `skeleton` is empty.
 
-    Two inputs of the slider's control are open: the loop fixes `report` to
-    the report that the monitor has seen, and `problem` to what is wrong with
-    its data, once the monitor's tick is over. So a command answers a report
-    with what was computed of that same report. The loop also tells when
-    scans are taken, by forced updates of `ring_subscriber` and the monitor's
-    `mask`, and makes the report the State of `robot_subscriber` and what was
-    published that of `slider_control`.
+    Nothing is sent by itself: `robot_publisher` sends when it is told to
+    publish, once for each report, when the monitor has seen it.
 
     Args:
         scenario: Checked settings; rings on the arm.
@@ -90,7 +90,7 @@ def make_hardware_station(
         # Nothing is simulated that the twin could see.
         seen = dc.replace(scenario, sensing="ideal", human=NoHuman())
     scene_graph, plant = make_scene(builder, seen)
-    receiver, commanded = _add_robot(
+    subscriber, receiver, commanded = _add_robot(
         builder,
         robot,
         RobotReportReceiver(
@@ -112,7 +112,9 @@ def make_hardware_station(
         SliderConfig() if slider is None else slider,
         joint_speeds=tuple(plant.GetVelocityUpperLimits()[:6].tolist()),
     )
-    _add_slider(builder, commanded, slider)
+    _add_slider(
+        builder, subscriber, commanded, slider, make_law(scenario).deadline
+    )
     for name in (
         "position_measured",
         "velocity_measured",
@@ -138,21 +140,23 @@ def make_hardware_station(
 
 
 def _add_robot(builder, robot, receiver):
-    """Adds what reads the robot; returns the receiver and who is written to."""
+    """Adds what reads the robot.
+
+    Returns:
+        Subscriber, receiver, and the connection that is written to.
+    """
     interface = builder.AddNamedSystem(
         "robot_interface", RtdeInterfaceSystem(connection=robot)
     )
     subscriber = builder.AddNamedSystem(
         "robot_subscriber",
-        RtdeSubscriberSystem(
-            connection=interface.connection, wait_timeout=0.0, per_step=False
-        ),
+        RtdeSubscriberSystem(connection=interface.connection, wait_timeout=0.0),
     )
     builder.AddNamedSystem("robot_report_receiver", receiver)
     builder.Connect(
         subscriber.GetOutputPort("report"), receiver.GetInputPort("report")
     )
-    return receiver, interface.connection
+    return subscriber, receiver, interface.connection
 
 
 def _add_rings(builder, rings):
@@ -162,9 +166,14 @@ def _add_rings(builder, rings):
     )
     subscriber = builder.AddNamedSystem(
         "ring_subscriber",
-        RingSubscriberSystem(
-            connection=interface.connection, wait_timeout=0.0, per_step=False
-        ),
+        RingSubscriberSystem(connection=interface.connection, wait_timeout=0.0),
+    )
+    # The scans are on the Diagram's clock; what is ahead of it has to wait.
+    builder.Connect(
+        builder.AddNamedSystem(
+            "clock_offset", ConstantVectorSource([0.0])
+        ).get_output_port(),
+        subscriber.GetInputPort("clock_offset"),
     )
     for name in RINGS:
         builder.ExportOutput(
@@ -172,10 +181,19 @@ def _add_rings(builder, rings):
         )
 
 
-def _add_slider(builder, robot, config):
+def _add_slider(builder, subscriber, robot, config, deadline):
     """Adds what moves the slider."""
+    problem = builder.AddNamedSystem(
+        "sensing_problem", SensingProblem(deadline=deadline)
+    )
     control = builder.AddNamedSystem(
-        "slider_control", SliderControl(config=config, per_step=False)
+        "slider_control", SliderControl(config=config, connection=robot)
+    )
+    builder.Connect(
+        subscriber.GetOutputPort("report"), control.GetInputPort("report")
+    )
+    builder.Connect(
+        problem.GetOutputPort("problem"), control.GetInputPort("problem")
     )
     publisher = builder.AddNamedSystem(
         "robot_publisher", RtdePublisherSystem(connection=robot)
@@ -186,3 +204,4 @@ def _add_slider(builder, robot, config):
     builder.ExportInput(
         control.GetInputPort("speed_fraction"), "speed_fraction"
     )
+    builder.ExportInput(problem.GetInputPort("separation"), "separation")

@@ -60,7 +60,6 @@ def make_monitor(
     scenario: Scenario,
     *,
     person_radii: np.ndarray | None = None,
-    masks_periodically: bool = True,
 ) -> Diagram:
     """Makes the monitor, the same for a simulated and for a real cell.
 
@@ -100,9 +99,6 @@ def make_monitor(
         scenario: Checked settings.
         person_radii: Radii of the pieces of the person of `skeleton`, m, (c,);
             only the sensing `ideal` takes them.
-        masks_periodically: The mask looks at the rings' scans at each control
-            tick; else who runs the loop tells it to, by forced updates of
-            `mask`.
 
     Returns:
         The Diagram.
@@ -136,7 +132,6 @@ def make_monitor(
             scene_graph,
             plant,
             kinematics,
-            masks_periodically,
         )
     links = get_links(scenario)
     dsi_filter = builder.AddNamedSystem(
@@ -236,9 +231,7 @@ def _add_lidar(builder, scenario, scene_graph, plant, kinematics):
     return separation
 
 
-def _add_rings(
-    builder, scenario, scene_graph, plant, kinematics, masks_periodically
-):
+def _add_rings(builder, scenario, scene_graph, plant, kinematics):
     """Adds mask, self-hit watch and separation of the rings.
 
     Returns:
@@ -251,7 +244,6 @@ def _add_rings(
         scene_graph,
         plant,
         kinematics,
-        masks_periodically,
     )
     separation = builder.AddNamedSystem(
         "separation",
@@ -353,9 +345,7 @@ def tell_self_hit_coverage(scenario: Scenario) -> list[str]:
     return tell_coverage(model, calc_verifiable_share(model, path))
 
 
-def _add_mask(
-    builder, scenario, scene_graph, plant, kinematics, masks_periodically
-):
+def _add_mask(builder, scenario, scene_graph, plant, kinematics):
     """Adds the mask with its inputs; returns it, the report, the rings."""
     inspector = scene_graph.model_inspector()
     caster = RayCaster(inspector)
@@ -367,7 +357,6 @@ def _add_mask(
             caster=caster,
             period=scenario.control_period,
             is_dead=find_dead_sensors(scenario),
-            masks_periodically=masks_periodically,
             bundles=make_mask_bundles(
                 config=scenario.mask,
                 ring_config=scenario.rings,

@@ -49,7 +49,6 @@ def make_workcell(
     station: Station | None = None,
     meshcat: Meshcat | None = None,
     with_samples: bool = True,
-    masks_periodically: bool = True,
 ) -> Workcell:
     """Makes the closed loop of a scenario.
 
@@ -58,7 +57,6 @@ def make_workcell(
         station: Of the same scenario; None makes a simulated one.
         meshcat: Where to show the cell; None shows nothing.
         with_samples: Keep samples for a report; they grow with the run.
-        masks_periodically: See `make_monitor`.
 
     Returns:
         The Diagram, ready for a Simulator, and its parts.
@@ -72,16 +70,14 @@ def make_workcell(
         make_monitor(
             scenario,
             person_radii=[] if avatar is None else avatar.radii,
-            masks_periodically=masks_periodically,
         )
     )
     for i in range(monitor.num_input_ports()):
         port = monitor.get_input_port(i)
         builder.Connect(station.diagram.GetOutputPort(port.get_name()), port)
-    builder.Connect(
-        monitor.GetOutputPort("speed_fraction"),
-        station.diagram.GetInputPort("speed_fraction"),
-    )
+    for i in range(station.diagram.num_input_ports()):
+        port = station.diagram.get_input_port(i)
+        builder.Connect(monitor.GetOutputPort(port.get_name()), port)
     recorder = None
     if with_samples:
         recorder = _add_recorder(builder, scenario, station, monitor)

@@ -44,6 +44,7 @@ from tofssm_drake.sensing.lidar_separation import (
     LidarSeparation,
     LidarSeparationConfig,
 )
+from tofssm_drake.ssm.sensing_problem import SensingProblem
 
 _MARKER = ".. pydrake_system::"
 
@@ -150,6 +151,7 @@ class TestSystemBlocks(unittest.TestCase):
             rtde_systems.RtdePublisherSystem(connection=connection),
             rtde_systems.RobotReportReceiver(),
             rtde_systems.SliderControl(),
+            SensingProblem(deadline=0.1),
             interface,
             RingSubscriberSystem(connection=interface.connection),
         ]

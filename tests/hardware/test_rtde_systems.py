@@ -140,8 +140,6 @@ class TestSubscriber(unittest.TestCase):
         simulator.AdvanceTo(0.001)
         self.assertIs(dut.get_output_port().Eval(context), report)
         self.assertEqual(dut.get_output_port().Eval(clone).sequence, -1)
-        dut.CalcForcedUnrestrictedUpdate(clone, clone.get_mutable_state())
-        self.assertIs(dut.get_output_port().Eval(clone), report)
 
     def test_null(self):
         loop = Loop(NullConnection(), wait_timeout=0)
@@ -241,6 +239,34 @@ class TestLoop(unittest.TestCase):
         self.assertEqual(np.diff(beats).tolist(), [1] * 28)
         self.assertEqual(connection.sent[0].speed_fraction, 0.0)
         self.assertGreater(connection.sent[-1].speed_fraction, 0.3)
+
+    def test_the_last_that_was_published_is_remembered(self):
+        """Whatever was computed of a report before the law had seen it."""
+        sent = []
+        for others in (0, 3):
+            connection = LoopbackConnection()
+            loop = Loop(connection, wait_timeout=0)
+            connection.put(make_report(0))
+            loop.initialize()
+            echo = 1.0
+            for i in range(1, 300):
+                report = make_report(i, target_speed_fraction=echo)
+                connection.put(report)
+                for k in range(others):
+                    # Steps before the law's, and what it said meanwhile.
+                    loop.simulator.AdvanceTo(loop.context.get_time() + 0.0005)
+                    loop.set_wanted(0.3 * k)
+                loop.simulator.AdvanceTo(report.timestamp)
+                loop.set_wanted(0.8 if i < 200 else 0.1)
+                loop.publisher.ForcedPublish(
+                    loop.publisher.GetMyContextFromRoot(loop.context)
+                )
+                echo = connection.sent[-1].speed_fraction
+            sent.append([vars(command) for command in connection.sent])
+        self.assertEqual(sent[0], sent[1])
+        fractions = [command["speed_fraction"] for command in sent[0]]
+        self.assertEqual(fractions[198], 0.8)
+        self.assertEqual(fractions[199], 0.1)
 
     def test_nothing_is_sent_but_when_told(self):
         connection = LoopbackConnection()

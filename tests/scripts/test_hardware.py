@@ -19,7 +19,7 @@ from mcap.reader import make_reader
 import numpy as np
 from robot_room import make_robot, serve
 
-from tofssm_drake.diagrams import hardware_loop, hardware_run
+from tofssm_drake.diagrams import hardware_run
 from tofssm_drake.diagrams.hardware_loop import HardwareLoop
 from tofssm_drake.diagrams.hardware_run import require_ready
 from tofssm_drake.diagrams.scenario import load_scenario
@@ -41,7 +41,7 @@ from tofssm_drake.robot.program import make_program_path
 from tofssm_drake.robot.twin import make_cell_plant
 import tofssm_drake.scripts.hardware_status as hardware_status
 from tofssm_drake.scripts.main import run
-from tofssm_drake.ssm import tri_ssm
+from tofssm_drake.ssm import sensing_problem, tri_ssm
 
 _NOBODY = "{program: {products: 2}, human: !NoHuman {}}"
 
@@ -272,7 +272,7 @@ class TestHardware(unittest.TestCase):
         for module, name in (
             (rtde_systems, "step_slider"),
             (tri_ssm, "calc_ring_states"),
-            (hardware_loop, "find_sensing_problem"),
+            (sensing_problem, "find_sensing_problem"),
         ):
             with self.subTest(name=name):
                 function, armed = getattr(module, name), []

@@ -785,28 +785,6 @@ class TestOcclusionMask(unittest.TestCase):
             self.assertEqual(self.eval(ring).scan.sequence, -1)
         self.assertEqual(self.cell["twin"].asked, [])
 
-    def test_masks_when_it_is_told_to(self):
-        config = mut.OcclusionMaskConfig()
-        self.set_up_dut(
-            mut.OcclusionMask(
-                config=config, masks_periodically=False, **self.cell
-            )
-        )
-        for sequence in range(2):
-            self.fix_scan(
-                make_scan(0.5, sequence=sequence, time=0.03 * sequence)
-            )
-            self.simulator.AdvanceTo(0.03 * sequence + 0.02)
-            self.assertEqual(self.eval().scan.sequence, sequence - 1)
-            for _ in range(2):
-                self.dut.CalcForcedUnrestrictedUpdate(
-                    self.context, self.context.get_mutable_state()
-                )
-                self.assertEqual(self.eval().scan.sequence, sequence)
-        # The robot's reports are remembered at each tick all the same.
-        self.assertEqual(self.eval().previous_time[0], 0.0)
-        self.assertAlmostEqual(self.eval().position[0, 0], self.report[0])
-
     def test_masks_each_scan_once_in_the_tick_that_sees_it(self):
         self.simulator.AdvanceTo(0.031)
         self.fix_scan(make_scan(0.5, sequence=0, time=0.016))

@@ -3,9 +3,16 @@ import unittest
 
 import numpy as np
 
-from tofssm_drake.messages import RingHealth, make_empty_safety_index
+from tofssm_drake.messages import (
+    RingHealth,
+    make_empty_safety_index,
+    make_empty_separation,
+)
 from tofssm_drake.ssm.config import SsmConfig
-from tofssm_drake.ssm.sensing_problem import find_sensing_problem
+from tofssm_drake.ssm.sensing_problem import (
+    SensingProblem,
+    find_sensing_problem,
+)
 from tofssm_drake.ssm.tri_ssm import calc_ring_states
 
 
@@ -67,6 +74,30 @@ class TestFindSensingProblem(unittest.TestCase):
             )
             # With clear rings nothing else stops it.
             self.assertEqual(states.min() == 0, bool(problem), problem)
+
+
+class TestSensingProblem(unittest.TestCase):
+    def test_grows_old_with_time(self):
+        dut = SensingProblem(deadline=0.1)
+        context = dut.CreateDefaultContext()
+        port = dut.get_output_port()
+        separation = make_empty_separation()
+        dut.get_input_port().FixValue(context, separation)
+        self.assertEqual(port.Eval(context), "base has no sample yet")
+        n = len(separation.name)
+        dut.get_input_port().FixValue(
+            context,
+            dc.replace(
+                separation,
+                sequence=np.full(n, 1),
+                time=np.full(n, 5.0),
+                health=np.full(n, RingHealth.HEALTHY),
+            ),
+        )
+        context.SetTime(5.1 - 1e-9)
+        self.assertEqual(port.Eval(context), "")
+        context.SetTime(5.101)
+        self.assertEqual(port.Eval(context), "base sample is too old")
 
 
 if __name__ == "__main__":

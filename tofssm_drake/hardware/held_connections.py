@@ -11,6 +11,7 @@ from tofssm_drake.hardware.ring_link import (
     RingLinkStatus,
     calc_measured_time,
 )
+from tofssm_drake.hardware.ring_systems import shift_scan
 from tofssm_drake.hardware.robot_connection import RtdeStatus
 from tofssm_drake.messages import RINGS, RingScan, RobotReport, SliderCommand
 
@@ -53,7 +54,22 @@ class HeldRings:
 
     def __init__(self):
         self.scans: tuple[RingScan, ...] = tuple(RingScan() for _ in RINGS)
-        """What it shows, on the host's clock."""
+        """What it shows, on the Diagram's clock."""
+
+    def take(self, scans: tuple[RingScan, ...], *, clock_offset: float) -> None:
+        """Takes those scans that are new.
+
+        Args:
+            scans: Newest of each ring, on the host's clock; empty: none.
+            clock_offset: What the Diagram's clock shows more than the host's,
+                s; it counts for the scans that are taken now.
+        """
+        self.scans = tuple(
+            shift_scan(scan, clock_offset)
+            if scan.sequence != held.sequence
+            else held
+            for scan, held in zip(scans or self.scans, self.scans, strict=True)
+        )
 
     def get_scans(self) -> tuple[RingScan, ...]:
         """Returns the scans that it was given."""

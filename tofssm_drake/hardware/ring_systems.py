@@ -75,10 +75,9 @@ class RingSubscriberSystem(LeafSystem):
         - scan_elbow
         - scan_tool
 
-    At each step, or when it is told to (forced update), the newest scan of
-    each ring moves from the link into the state, and nothing else ever reads
-    the link: what the ports show follows from the Context. Initialization
-    waits until every ring has delivered.
+    At each step the newest scan of each ring moves from the link into the
+    state, and nothing else ever reads the link: what the ports show follows
+    from the Context. Initialization waits until every ring has delivered.
 
     `clock_offset` (vector, 1) is what the Diagram's clock shows more than the
     host's monotonic one, s; unconnected it is 0. The scans' times are on the
@@ -98,7 +97,6 @@ class RingSubscriberSystem(LeafSystem):
         connection: RingConnection,
         wait_timeout: float = 10.0,
         max_ahead: float = 0.004,
-        per_step: bool = True,
         name: Sequence[str] = RINGS,
     ):
         """Constructs the system.
@@ -109,7 +107,6 @@ class RingSubscriberSystem(LeafSystem):
                 s; 0 does not wait.
             max_ahead: A sample may be so much ahead of the Diagram's time, s;
                 by so much the occlusion mask looks to both sides.
-            per_step: Update at each step; else only in forced updates.
             name: The rings, in the order of the link's scans.
 
         Raises:
@@ -138,9 +135,7 @@ class RingSubscriberSystem(LeafSystem):
         for ring, index in zip(name, self._scans, strict=True):
             self.DeclareStateOutputPort(f"scan_{ring}", index)
         self.DeclareInitializationUnrestrictedUpdateEvent(self._initialize)
-        if per_step:
-            self.DeclarePerStepUnrestrictedUpdateEvent(self._take_scans)
-        self.DeclareForcedUnrestrictedUpdateEvent(self._take_scans)
+        self.DeclarePerStepUnrestrictedUpdateEvent(self._take_scans)
 
     def _initialize(self, context: Context, state: State):
         """Waits for the rings.

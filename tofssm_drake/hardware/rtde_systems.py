@@ -73,9 +73,8 @@ class RtdeSubscriberSystem(LeafSystem):
         - report
 
     `report` is a `RobotReport`. It is State: it changes in an update at the
-    begin of each of the Simulator's steps, or when it is told to (forced
-    update), and never in between. So all that is computed in a step is of one
-    package.
+    begin of each of the Simulator's steps and never in between. So all that
+    is computed in a step is of one package.
 
     Initialization waits for a report that is newer than those that the
     connection had before.
@@ -83,8 +82,6 @@ class RtdeSubscriberSystem(LeafSystem):
     Args:
         connection: Where reports come from.
         wait_timeout: Longest wait at initialization, s; 0 does not wait.
-        per_step: Update at each step; else only in forced updates, which
-            spare a loop the copy of the Diagram's whole State.
     """
 
     def __init__(
@@ -92,7 +89,6 @@ class RtdeSubscriberSystem(LeafSystem):
         *,
         connection: RobotConnection,
         wait_timeout: float = 10.0,
-        per_step: bool = True,
     ):
         super().__init__()
         require(
@@ -104,9 +100,7 @@ class RtdeSubscriberSystem(LeafSystem):
         self._report = self.DeclareAbstractState(Value(RobotReport()))
         self.DeclareStateOutputPort("report", self._report)
         self.DeclareInitializationUnrestrictedUpdateEvent(self._initialize)
-        if per_step:
-            self.DeclarePerStepUnrestrictedUpdateEvent(self._update)
-        self.DeclareForcedUnrestrictedUpdateEvent(self._update)
+        self.DeclarePerStepUnrestrictedUpdateEvent(self._update)
 
     def _initialize(self, context: Context, state: State) -> EventStatus:
         if self._wait_timeout > 0.0:
@@ -257,33 +251,44 @@ class SliderControl(LeafSystem):
     is empty if they are: from a fault the way back to speed leads through the
     reduced fraction.
 
-    The outputs are of the inputs as they are now. The update at the begin of
-    the Simulator's next step, or who runs the loop, makes `slider` the State,
-    so what was published is what is remembered.
+    The outputs are of the inputs as they are now, however often they are
+    asked for: what is made of a report starts from the state after the report
+    before it. The update at the begin of each of the Simulator's steps
+    remembers both. So the last that was published of a report is what the
+    next one starts from.
 
     Args:
         config: Settings; checked.
-        per_step: Update at each step; else who runs the loop does, or tells
-            it to (forced update).
+        connection: Where the reports come from: remembers only when the next
+            one is there, which spares the other steps an update of the
+            Diagram's State. None: remembers at each step.
     """
 
     def __init__(
-        self, *, config: SliderConfig | None = None, per_step: bool = True
+        self,
+        *,
+        config: SliderConfig | None = None,
+        connection: RobotConnection | None = None,
     ):
         super().__init__()
         self._config = SliderConfig() if config is None else config
         self._config.check("slider")
+        self._connection = connection
         self._report = self.DeclareAbstractInputPort(
             "report", Value(RobotReport())
         )
         self._speed_fraction = self.DeclareVectorInputPort("speed_fraction", 1)
         self._problem = self.DeclareAbstractInputPort("problem", Value(""))
-        self._state = self.DeclareAbstractState(Value(SliderState()))
+        # After the report before the newest, and after the newest.
+        self._before, self._newest = (
+            self.DeclareAbstractState(Value(SliderState())) for _ in range(2)
+        )
         sources = {
             self._report.ticket(),
             self._speed_fraction.ticket(),
             self._problem.ticket(),
-            self.abstract_state_ticket(self._state),
+            self.abstract_state_ticket(self._before),
+            self.abstract_state_ticket(self._newest),
         }
         self._slider = self.DeclareAbstractOutputPort(
             "slider",
@@ -302,15 +307,20 @@ class SliderControl(LeafSystem):
         self.DeclareVectorOutputPort(
             "slider_obeys", 1, self._calc_obeys, sources
         )
-        if per_step:
-            self.DeclarePerStepUnrestrictedUpdateEvent(self._update)
-        self.DeclareForcedUnrestrictedUpdateEvent(self._update)
+        self.DeclarePerStepUnrestrictedUpdateEvent(self._update)
+
+    def _get_before(self, context):
+        """Returns the state after the report before the present one."""
+        newest = context.get_abstract_state(self._newest).get_value()
+        if newest.command.sequence != self._report.Eval(context).sequence:
+            return newest
+        return context.get_abstract_state(self._before).get_value()
 
     def _calc_slider(self, context, output):
         output.set_value(
             step_slider(
                 self._config,
-                context.get_abstract_state(self._state).get_value(),
+                self._get_before(context),
                 self._report.Eval(context),
                 self._speed_fraction.Eval(context)[0],
                 self._problem.Eval(context),
@@ -322,8 +332,14 @@ class SliderControl(LeafSystem):
         output.SetAtIndex(0, float(phase != SliderPhase.FAULT))
 
     def _update(self, context: Context, state: State) -> EventStatus:
+        if self._connection is not None:
+            newest = self._connection.get_report()
+            if newest is self._report.Eval(context):
+                return EventStatus.DidNothing()
         slider = self._slider.Eval(context)
-        if slider is context.get_abstract_state(self._state).get_value():
+        if slider is context.get_abstract_state(self._newest).get_value():
             return EventStatus.DidNothing()
-        state.get_mutable_abstract_state(int(self._state)).set_value(slider)
+        before = self._get_before(context)
+        for index, value in ((self._before, before), (self._newest, slider)):
+            state.get_mutable_abstract_state(index).set_value(value)
         return EventStatus.Succeeded()

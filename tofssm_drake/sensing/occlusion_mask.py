@@ -839,7 +839,6 @@ class OcclusionMask(LeafSystem):
         bundles: RayBundles,
         twin: Twin,
         is_dead: np.ndarray | None = None,
-        masks_periodically: bool = True,
         name: tuple[str, ...] = RINGS,
     ):
         """Constructs the system.
@@ -853,9 +852,6 @@ class OcclusionMask(LeafSystem):
             twin: gives the poses of `caster.frame_ids`.
             is_dead: whether each sensor is declared dead, ring by ring, (N,);
                 None: none is.
-            masks_periodically: look at the scans at each control tick; else
-                only in forced updates, which spare a loop the copy of the
-                Diagram's whole State.
             name: the rings, in the order of `bundles`.
 
         Raises:
@@ -900,9 +896,7 @@ class OcclusionMask(LeafSystem):
             self.DeclareStateOutputPort(f"masked_scan_{ring}", index)
         # Two events: most ticks bring no scan, and what follows from the
         # masked scans is then not computed again.
-        if masks_periodically:
-            self.DeclarePeriodicUnrestrictedUpdateEvent(period, 0.0, self._mask)
-        self.DeclareForcedUnrestrictedUpdateEvent(self._mask)
+        self.DeclarePeriodicUnrestrictedUpdateEvent(period, 0.0, self._mask)
         self.DeclarePeriodicDiscreteUpdateEvent(period, 0.0, self._remember)
 
     def _remember(self, context: Context, discrete_state: DiscreteValues):

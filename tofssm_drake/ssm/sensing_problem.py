@@ -1,6 +1,14 @@
 """Whether what the safety law works on is fresh and healthy."""
 
-from tofssm_drake.messages import RingHealth, SafetyIndex, Separation
+from pydrake.common.value import Value
+from pydrake.systems.framework import Context, LeafSystem
+
+from tofssm_drake.messages import (
+    RingHealth,
+    SafetyIndex,
+    Separation,
+    make_empty_separation,
+)
 
 _WORKING = (
     int(RingHealth.HEALTHY),
@@ -41,3 +49,43 @@ def find_sensing_problem(
         if not abs(now - time) <= deadline:
             return f"{name} sample is too old"
     return ""
+
+
+class SensingProblem(LeafSystem):
+    """Says why the sensing is not fresh and healthy.
+
+    .. pydrake_system::
+
+        name: SensingProblem
+        input_ports:
+        - separation
+        output_ports:
+        - problem
+
+    `problem` (str) is what `find_sensing_problem` says of `separation` now.
+
+    Args:
+        deadline: How old the law lets a sample be, s.
+    """
+
+    def __init__(self, *, deadline: float):
+        super().__init__()
+        self._deadline = deadline
+        self._separation = self.DeclareAbstractInputPort(
+            "separation", Value(make_empty_separation())
+        )
+        self.DeclareAbstractOutputPort(
+            "problem",
+            lambda: Value(""),
+            self._calc_problem,
+            {self._separation.ticket(), self.time_ticket()},
+        )
+
+    def _calc_problem(self, context: Context, output):
+        output.set_value(
+            find_sensing_problem(
+                index=self._separation.Eval(context),
+                now=context.get_time(),
+                deadline=self._deadline,
+            )
+        )
