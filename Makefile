@@ -5,13 +5,22 @@
 #   make bench   measures speed
 #   make hardware-demo   runs the hardware's program on a simulated robot
 #   make fault-table     measures how fast each fault stops that robot
+# Another Python, beside the usual one:
+#   make PYTHON=python3.12 VENV=.venv312 test
 
 PYTHON ?= python3
-VENV := .venv
+VENV ?= .venv
 BIN := $(VENV)/bin
 OUT ?= out/default
-PIP_INSTALL := $(BIN)/python -m pip install --quiet \
-	--disable-pip-version-check --constraint constraints.txt
+
+# The exact versions for the Python of the environment, if they are listed.
+# Asked when something is installed: then the environment is there.
+CONSTRAINTS = $(wildcard constraints-$(shell $(BIN)/python -c \
+	'import sys; print("%d.%d" % sys.version_info[:2])').txt)
+PIP_INSTALL = $(BIN)/python -m pip install --quiet \
+	--disable-pip-version-check $(addprefix --constraint ,$(CONSTRAINTS))
+TELL_UNPINNED = @$(if $(CONSTRAINTS),:,echo "No constraints file for" \
+	"$$($(BIN)/python --version): the newest versions are installed")
 
 # Drake's wheel leaves three common libraries to the system.
 CHECK_DRAKE := @$(BIN)/python -c 'import pydrake.common' 2> /dev/null || \
@@ -50,18 +59,20 @@ $(BIN)/python:
 	    "e.g. make PYTHON=python3.12 $(MAKECMDGOALS)"; exit 2; }
 	@$(PYTHON) -c 'import ensurepip, venv' 2> /dev/null || \
 	  scripts/install_system_packages.sh \
-	    "$(PYTHON) can not make a virtual environment" python3-venv
+	    "$(PYTHON) cannot make a virtual environment" python3-venv
 	$(PYTHON) -m venv $(VENV)
 
-$(VENV)/.installed: pyproject.toml constraints.txt | $(BIN)/python
+$(VENV)/.installed: pyproject.toml $(wildcard constraints-*.txt) | $(BIN)/python
+	$(TELL_UNPINNED)
 	$(PIP_INSTALL) --editable .
 	$(CHECK_DRAKE)
 	@touch $@
 
-$(VENV)/.installed-test: pyproject.toml constraints.txt | $(BIN)/python
+$(VENV)/.installed-test: pyproject.toml $(wildcard constraints-*.txt) | $(BIN)/python
+	$(TELL_UNPINNED)
 	$(PIP_INSTALL) --editable '.[meshes,test]'
 	$(PIP_INSTALL) --only-binary mujoco,pybullet,ur_rtde --editable '.[peers]' || \
-	  echo "MuJoCo, PyBullet and ur_rtde can not be installed:" \
+	  echo "MuJoCo, PyBullet and ur_rtde cannot be installed:" \
 	    "nothing is compared"
 	$(CHECK_DRAKE)
 	@touch $@ $(VENV)/.installed

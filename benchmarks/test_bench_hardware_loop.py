@@ -57,7 +57,7 @@ def run_hardware(series, folder, seconds=_SECONDS, options=()):
             subprocess.run(
                 [
                     *(*_TOFSSM, "hardware", *robot, "--rings", frames),
-                    *("--record", str(record), "--any-pose"),
+                    *("--record", str(record), "--any-pose", "--real-time"),
                     *("--duration", str(seconds), *options),
                 ],
                 check=True,

@@ -11,10 +11,7 @@ from pydrake.systems.framework import Context
 
 from tofssm_drake.diagrams.hardware_station import make_hardware_station
 from tofssm_drake.diagrams.scenario import Scenario, make_law
-from tofssm_drake.diagrams.simulation import (
-    find_binding_objects,
-    make_simulator,
-)
+from tofssm_drake.diagrams.simulation import make_simulator
 from tofssm_drake.diagrams.workcell import Workcell, make_workcell
 from tofssm_drake.hardware.held_connections import HeldRings, HeldRobot
 from tofssm_drake.hardware.slider import (
@@ -43,8 +40,6 @@ from tofssm_drake.visualization.health_board import (
 
 # The world of virtual rings, or made-up scans, for so many periods of them.
 _WARM_UP = 3
-# A rehearsal takes no more ticks than fit into that time, s.
-_MOST_REHEARSED = 0.02
 
 
 @dc.dataclass(frozen=True, eq=False, kw_only=True)
@@ -56,8 +51,6 @@ class TickInput:
     report: RobotReport
     scans: tuple[RingScan, ...] = ()
     """Newest scan of each ring on the host's clock; of virtual ones none."""
-    early_scans: tuple[RingScan, ...] = ()
-    """What `HardwareLoop.take_scans` was handed since the tick before."""
     clock_offset: float = 0.0
     """What the Diagram's clock shows more than the host's, s."""
 
@@ -149,7 +142,6 @@ class _Ticker:
                 "reason",
                 "speed_fraction",
                 "separation",
-                "dsi",
             )
         }
         self._publisher = station.GetSubsystemByName("robot_publisher")
@@ -174,7 +166,6 @@ class _Ticker:
         self._reasons_for = self._reason = None
         self._taken = None
         self._rings = None
-        self._offset = 0.0
         if workcell.station.rings is not None:
             self._rings = station.GetSubsystemByName("ring_subscriber")
             self._ring_context = self._rings.GetMyMutableContextFromRoot(root)
@@ -182,7 +173,6 @@ class _Ticker:
                 "clock_offset"
             ).FixValue(self._ring_context, [0.0])
         self._initialized = False
-        self._held = find_binding_objects(workcell.diagram, root)
 
     def tick(self, given: TickInput) -> tuple[SliderState, str]:
         """Computes and publishes; returns slider and `TickResult.problem`.
@@ -196,11 +186,11 @@ class _Ticker:
             self.simulator.Initialize()
             self._initialized = True
             # The events of the first tick come with the first advance.
-            self.take_scans(given.scans)
+            self._take_scans(given.scans)
         self._robot_context.SetAbstractState(0, given.report)
         self.simulator.AdvanceTo(given.time)
-        self._offset = given.clock_offset
-        self.take_scans(given.scans)
+        self._show_offset(given.clock_offset)
+        self._take_scans(given.scans)
         # The tick's own events: without it they would wait for the next one.
         self.simulator.AdvancePendingEvents()
         problem = find_sensing_problem(
@@ -231,34 +221,23 @@ class _Ticker:
             self._reason = self.ask("reason")
         return self._reason
 
-    def take_scans(self, scans: tuple[RingScan, ...]) -> bool:
-        """Lets subscriber and mask look, if there is anything to see.
-
-        Args:
-            scans: The newest; the station's connection holds the same.
-
-        Returns:
-            Whether there was; never before the first tick.
-        """
-        if self._rings is None or not self._initialized:
-            return False
+    def _take_scans(self, scans):
+        """Lets subscriber and mask look, if there is anything to see."""
+        if self._rings is None:
+            return
         if [scan.sequence for scan in scans] == self._taken:
-            return False
-        self._show_offset(self._offset)
+            return
         _update(self._rings, self._ring_context)
         _update(self._mask, self._mask_context)
         self._taken = [
             self._rings.get_output_port(i).Eval(self._ring_context).sequence
             for i in range(len(RINGS))
         ]
-        # Of scans alone: what came before its tick is not computed in it.
-        self.ask("dsi")
-        return True
 
     def _show_offset(self, clock_offset):
         if self._rings is not None:
             offset = self._clock_offset.GetMutableData().get_mutable_value()
-            offset[0] = self._offset = clock_offset
+            offset[0] = clock_offset
 
 
 class HardwareLoop:
@@ -311,11 +290,6 @@ class HardwareLoop:
         self._ticker = self._make_ticker(0)
         self._warm_up()
         self._ticker = self._make_ticker(scenario.random_seed)
-        # What is shown or kept must not be so twice.
-        self._rehearsal = None
-        if not (virtual_rings or with_samples or meshcat is not None):
-            self._rehearsal = self._make_ticker(scenario.random_seed)
-        self._last: TickInput | None = None
         if meshcat is not None:
             self._board = HealthBoard(meshcat=meshcat)
         self._sending = True
@@ -339,60 +313,15 @@ class HardwareLoop:
         Returns:
             What the monitor says of it and what was sent.
         """
-        self.take_scans(given.early_scans)
-        self._hold(given)
-        self._sent = math.nan
-        slider, problem = self._ticker.tick(given)
-        result = self._read(given, problem, slider)
-        self._last = given
-        if self._board is not None:
-            self._board.show(describe_links(result, deadline=self._deadline))
-        return result
-
-    def take_scans(self, scans: tuple[RingScan, ...]) -> bool:
-        """Takes scans before their tick, which then answers sooner.
-
-        What they mean is told as of the last tick, as if they had come just
-        before it. To be called at most once between two ticks; the next one is
-        handed the same scans as `early_scans`, so that its record tells.
-
-        Args:
-            scans: Newest scan of each ring on the host's clock.
-
-        Returns:
-            Whether there was anything new.
-        """
-        if not scans:
-            return False
-        self._station.rings.scans = scans
-        return self._ticker.take_scans(scans)
-
-    def rehearse(self) -> None:
-        """Makes the last tick once more, on another Context.
-
-        Nothing follows from it but that the processor has at hand what the
-        next tick needs, which is then done in half of the time. To be called
-        shortly before the next report; does nothing where the rings are
-        virtual, or something is shown or kept for a report.
-        """
-        given, self._last = self._last, None
-        if self._rehearsal is None or given is None:
-            return
-        simulator = self._rehearsal.simulator
-        # After a long pause it catches up little by little.
-        end = simulator.get_context().get_time() + _MOST_REHEARSED
-        self._hold(given)
-        self._sending = False
-        try:
-            self._rehearsal.tick(dc.replace(given, time=min(given.time, end)))
-        finally:
-            self._sending = True
-
-    def _hold(self, given):
-        """Lets the station's connections show what is new."""
         self._station.robot.report = given.report
         if self._station.rings is not None:
             self._station.rings.scans = given.scans
+        self._sent = math.nan
+        slider, problem = self._ticker.tick(given)
+        result = self._read(given, problem, slider)
+        if self._board is not None:
+            self._board.show(describe_links(result, deadline=self._deadline))
+        return result
 
     def _read(self, given, problem, slider):
         ask = self._ticker.ask

@@ -55,7 +55,6 @@ def replay_record(reader: RunReader) -> ReplayResult:
                 time=tick.time,
                 report=tick.report,
                 scans=tick.scans,
-                early_scans=tick.early_scans,
                 clock_offset=tick.clock_offset,
             )
         )

@@ -8,11 +8,8 @@ Whatever ends it, the connection is closed, which puts the slider to 0.
 from collections.abc import Callable, Iterator
 import contextlib
 import dataclasses as dc
-import gc
 import math
 import os
-import pathlib
-import sys
 import threading
 import time
 
@@ -43,10 +40,6 @@ from tofssm_drake.robot.program import make_program_path
 
 # One wait for a report, s; then the signals are looked at.
 _WAIT = 0.05
-# So long before the next report a tick is rehearsed, s, if it takes so long
-# from one report to the next.
-_REHEARSAL = 0.002
-_LEAST_CYCLE = 0.006
 # A robot that is silent that long ends the run, s.
 _LONGEST_SILENCE = 10.0
 # Reports that come so much later than the fastest ones end the run, s.
@@ -58,13 +51,8 @@ _TOO_FAST = 3.0
 _JUMP = 0.5
 # So near to where it was put the slider is there.
 _AT_LOWEST = 0.005
-# How long a thread may compute while another one waits, s.
-_SWITCH_INTERVAL = 0.0005
 # Above all that is not real-time, and below the system's own threads (50).
 _PRIORITY = 10
-# While this file is open, Linux lets no processor sleep more deeply than is
-# awoken within the microseconds that were written to it.
-_LATENCY = pathlib.Path("/dev/cpu_dma_latency")
 # Between two lines about what is waited for, s.
 _QUIET = 2.0
 
@@ -197,87 +185,38 @@ def hold_robot(robot: RobotConnection, fraction: float) -> None:
 
 
 @contextlib.contextmanager
-def keep_interpreter_quiet() -> Iterator[None]:
-    """Keeps Python's housekeeping out of the way of the loop.
-
-    All that exists is spared by the garbage collector: looking through it
-    took longer than many control cycles. And a thread that received something
-    need not wait long for one that computes.
-    """
-    interval = sys.getswitchinterval()
-    gc.collect()
-    gc.freeze()
-    sys.setswitchinterval(_SWITCH_INTERVAL)
-    try:
-        yield
-    finally:
-        sys.setswitchinterval(interval)
-        gc.unfreeze()
-
-
-@contextlib.contextmanager
 def run_in_real_time() -> Iterator[bool]:
     """Puts the program's threads before all other programs, where it may.
 
     All of Python's that there are: one that another program has interrupted
-    would hold up those that wait for the interpreter. They also keep to one
-    processor, since to wake a thread on another one takes longer. A program
-    that was started with a real-time priority is left as it is. Threads and
-    programs that are started within share the processor, not the priority.
+    would hold up those that wait for the interpreter. Threads and programs
+    that are started within do not get the priority. A program that was
+    started with a real-time priority is left as it is.
 
     Yields:
         Whether they have a real-time priority.
     """
-    usual = os.SCHED_OTHER
-    processors = os.sched_getaffinity(0)
+    usual, real_time = (
+        policy | os.SCHED_RESET_ON_FORK
+        for policy in (os.SCHED_OTHER, os.SCHED_FIFO)
+    )
     changed = []
     for thread in threading.enumerate():
         # It may not, or the thread has just ended.
         with contextlib.suppress(OSError):
-            if os.sched_getscheduler(thread.native_id) == usual:
+            if os.sched_getscheduler(thread.native_id) == os.SCHED_OTHER:
                 os.sched_setscheduler(
-                    thread.native_id,
-                    os.SCHED_FIFO | os.SCHED_RESET_ON_FORK,
-                    os.sched_param(_PRIORITY),
+                    thread.native_id, real_time, os.sched_param(_PRIORITY)
                 )
                 changed.append(thread.native_id)
-                os.sched_setaffinity(thread.native_id, {max(processors)})
     policy = os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK
     try:
         yield policy in (os.SCHED_FIFO, os.SCHED_RR)
     finally:
         for number in changed:
+            # The flag stays: only a privileged user may take it back.
             with contextlib.suppress(OSError):
-                os.sched_setaffinity(number, processors)
-            # Whoever is not privileged can not take the flag back.
-            for flag in (os.SCHED_RESET_ON_FORK, 0):
-                with contextlib.suppress(OSError):
-                    os.sched_setscheduler(
-                        number, usual | flag, os.sched_param(0)
-                    )
-
-
-@contextlib.contextmanager
-def keep_processors_awake() -> Iterator[bool]:
-    """Keeps the processors from sleeping, where the system allows it.
-
-    They sleep between two reports, and what wakes from a deep sleep computes
-    slowly for a while. The system takes the wish back when the program ends,
-    however it does.
-
-    Yields:
-        Whether they stay awake.
-    """
-    with contextlib.ExitStack() as stack:
-        is_granted = False
-        try:
-            wish = stack.enter_context(_LATENCY.open("r+b", buffering=0))
-            # A 32-bit number.
-            wish.write(bytes(4))
-            is_granted = True
-        except OSError:
-            stack.close()
-        yield is_granted
+                os.sched_setscheduler(number, usual, os.sched_param(0))
 
 
 def wait_for_robot(
@@ -401,8 +340,6 @@ class HardwareRun:
         self._robot_clock = RobotClock(period=period)
         self._clock = clock
         self._heard = clock()
-        self._cycle = -math.inf
-        self._early_scans = ()
         self.ticks = 0
         """Reports answered."""
 
@@ -452,7 +389,9 @@ class HardwareRun:
             UserError: The robot is silent for too long, or far too late, or
                 what it reports cannot be, or not of the modelled robot.
         """
-        report = self._wait_for_report()
+        report = self._robot.wait_for_report(
+            after=self._report.sequence, timeout=_WAIT
+        )
         if report.sequence <= self._report.sequence:
             silence = self._clock() - self._heard
             problem = self._robot.get_status().problem
@@ -463,7 +402,6 @@ class HardwareRun:
             )
             return None
         self._heard = report.time
-        self._cycle = report.timestamp - self._report.timestamp
         if self._limits is not None:
             require_plausible(report, self._report, self._limits)
         self._report = report
@@ -473,10 +411,8 @@ class HardwareRun:
             time=tick_time,
             report=report,
             scans=self._get_scans(),
-            early_scans=self._early_scans,
             clock_offset=self._robot_clock.offset,
         )
-        self._early_scans = ()
         result = self._loop.tick(given)
         self.ticks += 1
         if self._record is not None:
@@ -515,28 +451,6 @@ class HardwareRun:
     def _get_scans(self):
         return () if self._rings is None else self._rings.get_scans()
 
-    def _wait_for_report(self):
-        """Waits; before the next report is due, does what can be done."""
-        if self._early_scans or not 0.0 < self._cycle <= _WAIT:
-            return self._wait(_WAIT)
-        can_rehearse = self._cycle >= _LEAST_CYCLE
-        if can_rehearse:
-            due = self._heard + self._cycle - _REHEARSAL
-            report = self._wait(due - self._clock())
-            if report.sequence > self._report.sequence:
-                return report
-        scans = self._get_scans()
-        if self._loop.take_scans(scans):
-            self._early_scans = scans
-        if can_rehearse:
-            self._loop.rehearse()
-        return self._wait(_WAIT)
-
-    def _wait(self, timeout):
-        return self._robot.wait_for_report(
-            after=self._report.sequence, timeout=timeout
-        )
-
 
 def make_recorded_tick(given: TickInput, result: TickResult) -> RecordedTick:
     """Returns what is recorded of a tick."""
@@ -545,7 +459,6 @@ def make_recorded_tick(given: TickInput, result: TickResult) -> RecordedTick:
         clock_offset=given.clock_offset,
         report=given.report,
         scans=given.scans,
-        early_scans=given.early_scans,
         command=result.slider.command,
         state=describe_state(result),
         sent=result.sent,

@@ -1,18 +1,14 @@
 """Runs a workcell from its start to the end of its task."""
 
-from collections.abc import Iterator
-import contextlib
 import dataclasses as dc
-import gc
 import time
 
 from pydrake.systems.analysis import ResetIntegratorFromFlags, Simulator
-from pydrake.systems.framework import Context, Diagram, PortDataType
+from pydrake.systems.framework import Context, Diagram
 
 from tofssm_drake.diagrams.scenario import Scenario
 from tofssm_drake.diagrams.workcell import Workcell
 from tofssm_drake.evaluation.samples import Samples
-from tofssm_drake.leaf_system import LeafSystem
 
 _TICKS_PER_STEP = 25
 
@@ -62,7 +58,6 @@ class Run:
         self._simulator.set_target_realtime_rate(real_time_rate)
         self._simulator.Initialize()
         self._context = self._simulator.get_context()
-        self._held = find_binding_objects(workcell.diagram, self._context)
         station = workcell.station.diagram
         self._station_context = station.GetMyContextFromRoot(self._context)
         self._task_done = station.GetOutputPort("task_done")
@@ -82,8 +77,7 @@ class Run:
         self._steps += 1
         # From the count and not from the sum, so that no rounding gathers.
         end = min(self._steps * self._step, self._duration)
-        with _no_garbage_collection():
-            self._simulator.AdvanceTo(end)
+        self._simulator.AdvanceTo(end)
         self._wall_time += time.perf_counter() - start
         if self._steps == 1:
             self._first = end, self._wall_time
@@ -110,52 +104,7 @@ class Run:
 def make_simulator(diagram: Diagram, context: Context) -> Simulator:
     """Makes the Simulator of a Diagram without continuous state."""
     simulator = Simulator(diagram, context)
-    # There is nothing to integrate: the integrator that does least, in steps
-    # that never are what ends one.
+    # There is nothing to integrate: the integrator that does least, with a
+    # step longer than any event interval.
     ResetIntegratorFromFlags(simulator, "explicit_euler", _LONG)
     return simulator
-
-
-def find_binding_objects(diagram: Diagram, root_context: Context) -> list:
-    """Returns Python's objects of the Contexts and messages in a Diagram.
-
-    Whoever holds them makes the systems that are written in Python 5 %
-    faster: the binding then finds the object of what it hands over and need
-    not make and drop one for each call.
-
-    Args:
-        diagram: Its systems are looked at, at any depth.
-        root_context: Of the outermost Diagram; must outlive what is returned.
-    """
-    found = []
-    for system in diagram.GetSystems():
-        context = system.GetMyContextFromRoot(root_context)
-        found.append(context)
-        if isinstance(system, Diagram):
-            found += find_binding_objects(system, root_context)
-        elif isinstance(system, LeafSystem):
-            ports = map(
-                system.get_output_port, range(system.num_output_ports())
-            )
-            found += [
-                port.EvalAbstract(context)
-                for port in ports
-                if port.get_data_type() == PortDataType.kAbstractValued
-            ]
-    return found
-
-
-@contextlib.contextmanager
-def _no_garbage_collection() -> Iterator[None]:
-    """Leaves reference cycles for later, as a tick makes none.
-
-    The collector counts new objects and would look through all old ones again
-    and again, 5 % of the time of a run.
-    """
-    was_enabled = gc.isenabled()
-    gc.disable()
-    try:
-        yield
-    finally:
-        if was_enabled:
-            gc.enable()

@@ -17,8 +17,6 @@ from tofssm_drake.diagrams.hardware_run import (
     HardwareRun,
     JointLimits,
     hold_robot,
-    keep_interpreter_quiet,
-    keep_processors_awake,
     require_control_period,
     require_ready,
     run_in_real_time,
@@ -66,7 +64,7 @@ _AT_ZERO = 0.005
 _RECONNECT = 1.0
 
 _NO_PRIORITY = (
-    "no real-time priority: other programs may delay the answers (see "
+    "--real-time: the system does not grant a real-time priority (see "
     "docs/hardware.md)"
 )
 
@@ -166,6 +164,14 @@ def hardware(
         float,
         typer.Option(help="For how long, s; 0: until all is placed."),
     ] = 0.0,
+    real_time: Annotated[
+        bool,
+        typer.Option(
+            "--real-time",
+            help="Go before all other programs of this computer, where the "
+            "system lets you.",
+        ),
+    ] = False,
     meshcat: Annotated[
         bool, typer.Option("--meshcat", help="Watch the twin in a browser.")
     ] = False,
@@ -306,9 +312,8 @@ def hardware(
                 meshcat=display,
                 with_samples=out is not None,
             )
-        stack.enter_context(keep_interpreter_quiet())
-        is_real_time = stack.enter_context(run_in_real_time())
-        stack.enter_context(keep_processors_awake())
+        if real_time and not stack.enter_context(run_in_real_time()):
+            _console.print(_NO_PRIORITY)
         plant = loop.workcell.station.plant
         kinematics = RingKinematics.from_plant(plant)
         run = HardwareRun(
@@ -342,8 +347,6 @@ def hardware(
             _console.print(tool)
         for line in coverage:
             _console.print(f"note: {line}")
-        if not is_real_time:
-            _console.print(_NO_PRIORITY)
         end = _run(run, robot, link, stopped, duration, dry_run)
         robot.close()
         # The terminal may be gone.

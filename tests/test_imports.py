@@ -16,7 +16,7 @@ _FOLDERS = {
     "tofssm_drake.scripts": _ROOT / "scripts",
 }
 
-_FOR_ALL = ("errors", "kernels", "leaf_system")
+_FOR_ALL = ("errors", "kernels")
 
 
 def find_modules():

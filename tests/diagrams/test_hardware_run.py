@@ -1,8 +1,6 @@
 """What surrounds the loop on a real robot."""
 
 import os
-import pathlib
-import tempfile
 import threading
 import unittest
 from unittest import mock
@@ -22,25 +20,15 @@ class Scheduler:
     Args:
         refuses: Whether nothing is permitted.
         ended: Whether the thread that is looked at first has ended.
-        privileged: Whether SCHED_RESET_ON_FORK may be taken back.
         policy: Of all threads, to begin with.
     """
 
-    def __init__(
-        self,
-        *,
-        refuses=False,
-        ended=False,
-        privileged=True,
-        policy=os.SCHED_OTHER,
-    ):
+    def __init__(self, *, refuses=False, ended=False, policy=os.SCHED_OTHER):
         self.refuses = refuses
-        self.privileged = privileged
         # Those of other tests may still come and go.
         self.threads = threading.enumerate()
         self.policies = {t.native_id: policy for t in self.threads}
         self.policies[0] = policy
-        self.processors = {number: {0, 1, 3} for number in self.policies}
         # Not the main thread, which is the first.
         self.threads.reverse()
         self.ended = self.threads[0].native_id if ended else None
@@ -51,35 +39,30 @@ class Scheduler:
         return self.policies[number]
 
     def set(self, number, policy, parameters):
-        if self.refuses:
-            raise PermissionError(1, "not permitted")
+        # As for a user with a line in limits.conf, who may not take the flag
+        # back.
         flag = os.SCHED_RESET_ON_FORK
-        if self.policies[number] & ~policy & flag and not self.privileged:
+        if self.refuses or self.policies[number] & ~policy & flag:
             raise PermissionError(1, "not permitted")
         self.policies[number] = policy
         if number == threading.get_native_id():
             self.policies[0] = policy
 
     def run(self):
-        """Returns what is yielded, and policies and processors within."""
+        """Returns what is yielded, and the policies within."""
         with (
             mock.patch.object(
                 threading, "enumerate", return_value=self.threads
-            ),
-            mock.patch.object(os, "sched_getaffinity", self.processors.get),
-            mock.patch.object(
-                os, "sched_setaffinity", self.processors.__setitem__
             ),
             mock.patch.object(os, "sched_getscheduler", self.get),
             mock.patch.object(os, "sched_setscheduler", self.set),
             mut.run_in_real_time() as granted,
         ):
-            threads = [t.native_id for t in self.threads]
-            return (
-                granted,
-                {self.policies[t] for t in threads},
-                {tuple(self.processors[t]) for t in threads},
-            )
+            return granted, {self.policies[t.native_id] for t in self.threads}
+
+    def get_end(self):
+        """Returns the policies after it, without the flag."""
+        return {p & ~os.SCHED_RESET_ON_FORK for p in self.policies.values()}
 
 
 class TestRealTime(unittest.TestCase):
@@ -94,93 +77,28 @@ class TestRealTime(unittest.TestCase):
         scheduler = Scheduler()
         # What is started within has no such priority.
         policy = os.SCHED_FIFO | os.SCHED_RESET_ON_FORK
-        granted, policies, processors = scheduler.run()
-        self.assertEqual((granted, policies), (True, {policy}))
-        # The last of those that it may use.
-        self.assertEqual(processors, {(3,)})
-        self.assertEqual(set(scheduler.policies.values()), {os.SCHED_OTHER})
-        for processors in scheduler.processors.values():
-            self.assertEqual(processors, {0, 1, 3})
+        self.assertEqual(scheduler.run(), (True, {policy}))
+        self.assertEqual(scheduler.get_end(), {os.SCHED_OTHER})
 
     def test_refused(self):
         scheduler = Scheduler(refuses=True)
-        self.assertEqual(
-            scheduler.run(), (False, {os.SCHED_OTHER}, {(0, 1, 3)})
-        )
+        self.assertEqual(scheduler.run(), (False, {os.SCHED_OTHER}))
 
-    def test_given_back_without_privilege(self):
-        """As of a line in limits.conf: the flag can not be taken back."""
-        scheduler = Scheduler(privileged=False)
-        self.assertTrue(scheduler.run()[0])
-        flag = os.SCHED_RESET_ON_FORK
-        self.assertEqual(
-            {p & ~flag for p in scheduler.policies.values()}, {os.SCHED_OTHER}
-        )
-
-    def test_a_thread_that_has_ended_is_no_reason(self):
+    def test_a_thread_that_has_ended_does_not_matter(self):
         scheduler = Scheduler(ended=True)
-        granted, policies, _ = scheduler.run()
+        granted, policies = scheduler.run()
         flag = os.SCHED_RESET_ON_FORK
         self.assertTrue(granted)
         self.assertEqual(policies, {os.SCHED_OTHER, os.SCHED_FIFO | flag})
 
-    def test_idle_is_no_priority(self):
+    def test_idle_is_not_a_priority(self):
         scheduler = Scheduler(policy=os.SCHED_IDLE)
-        self.assertEqual(scheduler.run()[:2], (False, {os.SCHED_IDLE}))
+        self.assertEqual(scheduler.run(), (False, {os.SCHED_IDLE}))
 
     def test_what_it_was_started_with_stays(self):
         scheduler = Scheduler(policy=os.SCHED_RR)
-        self.assertEqual(scheduler.run(), (True, {os.SCHED_RR}, {(0, 1, 3)}))
-        self.assertEqual(set(scheduler.policies.values()), {os.SCHED_RR})
-
-
-class TestKeepProcessorsAwake(unittest.TestCase):
-    def setUp(self):
-        folder = tempfile.TemporaryDirectory()
-        self.addCleanup(folder.cleanup)
-        self.path = pathlib.Path(folder.name) / "latency"
-        patch = mock.patch.object(mut, "_LATENCY", self.path)
-        patch.start()
-        self.addCleanup(patch.stop)
-
-    def list_open(self):
-        return [
-            name
-            for name in pathlib.Path("/proc/self/fd").iterdir()
-            if name.is_symlink() and name.readlink() == self.path
-        ]
-
-    def test_wish_holds_while_the_file_is_open(self):
-        self.path.write_bytes(b"\xff" * 4)
-        with mut.keep_processors_awake() as granted:
-            self.assertTrue(granted)
-            self.assertEqual(self.path.read_bytes(), bytes(4))
-            self.assertEqual(len(self.list_open()), 1)
-        self.assertEqual(self.list_open(), [])
-
-    def test_not_there(self):
-        with mut.keep_processors_awake() as granted:
-            self.assertFalse(granted)
-        # It is the system's to make.
-        self.assertFalse(self.path.exists())
-
-    def test_refused(self):
-        self.path.symlink_to("/dev/full")
-        with (
-            mock.patch.object(self, "path", pathlib.Path("/dev/full")),
-            mut.keep_processors_awake() as granted,
-        ):
-            self.assertFalse(granted)
-            self.assertEqual(self.list_open(), [])
-
-    def test_given_back_after_an_error(self):
-        self.path.write_bytes(b"")
-        with (
-            self.assertRaisesRegex(RuntimeError, "of the run"),
-            mut.keep_processors_awake(),
-        ):
-            raise RuntimeError("of the run")
-        self.assertEqual(self.list_open(), [])
+        self.assertEqual(scheduler.run(), (True, {os.SCHED_RR}))
+        self.assertEqual(scheduler.get_end(), {os.SCHED_RR})
 
 
 def make_report(**changes):

@@ -29,7 +29,6 @@ from tofssm_drake.hardware.ring_systems import (
 )
 from tofssm_drake.hardware.robot_connection import NullConnection
 import tofssm_drake.hardware.rtde_systems as rtde_systems
-from tofssm_drake.leaf_system import LeafSystem as BaseLeafSystem
 from tofssm_drake.robot.kinematics import RingKinematics
 import tofssm_drake.robot.sim_ur10 as sim_ur10
 from tofssm_drake.sensing.ideal_separation import (
@@ -90,7 +89,6 @@ def find_public_leaf_systems():
                 and issubclass(value, LeafSystem)
                 and value.__module__ == module.name
                 and not name.startswith("_")
-                and value is not BaseLeafSystem
             ):
                 yield value
 

@@ -245,6 +245,7 @@ class CellProcess:
             *("hardware", "--robot-host", self.host),
             *("--rings", self.address, "--scenario-text", NOBODY),
             *("--any-pose", "--wait", _PATIENCE, "--slider-limit", 1),
+            "--real-time",
             *options,
             **settings,
         )

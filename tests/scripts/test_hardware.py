@@ -122,6 +122,27 @@ class TestHardware(unittest.TestCase):
             (code, out.split(", ")[-1]), (0, "all states as recorded\n")
         )
 
+    def test_real_time_only_if_asked_for(self):
+        """What the system does not grant is told, and the run goes on."""
+        with mock.patch.object(
+            os, "sched_setscheduler", side_effect=PermissionError
+        ) as ask:
+            for options, told in (((), False), (("--real-time",), True)):
+                with (
+                    self.subTest(options=options),
+                    serve(make_robot()) as server,
+                ):
+                    ask.reset_mock()
+                    code, out, err = run_hardware(
+                        server, "--duration", 0.5, "--dry-run", *options
+                    )
+                    self.assertEqual(code, 0, err)
+                    self.assertIn("ran for 0.5 s", out)
+                    self.assertEqual(ask.called, told)
+                    self.assertEqual(
+                        "the system does not grant a real-time" in err, told
+                    )
+
     def test_the_tick_is_the_robots(self):
         """An e-Series needs no setting; what does not fit it is refused."""
         path = self.folder / "run.mcap"

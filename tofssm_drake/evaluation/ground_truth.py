@@ -6,11 +6,11 @@ import functools
 import numpy as np
 from pydrake.geometry import Capsule, SceneGraphInspector, Sphere
 from pydrake.multibody.plant import MultibodyPlant
+from pydrake.systems.framework import LeafSystem
 
 from tofssm_drake.evaluation.truth import TruthLayout
 from tofssm_drake.geometry.distance import closest_capsules
 from tofssm_drake.kernels import njit
-from tofssm_drake.leaf_system import LeafSystem
 from tofssm_drake.messages import RINGS
 from tofssm_drake.robot.kinematics import (
     UR10_JOINTS,

@@ -7,6 +7,8 @@ from pydrake.common.value import Value
 from pydrake.systems.framework import (
     Diagram,
     DiagramBuilder,
+    EventStatus,
+    LeafSystem,
     ValueProducer,
 )
 from pydrake.systems.primitives import Multiplexer, VectorLogSink
@@ -14,10 +16,6 @@ from pydrake.systems.primitives import Multiplexer, VectorLogSink
 from tofssm_drake.evaluation.ground_truth import TruthModel
 from tofssm_drake.evaluation.samples import RING_COLUMNS, Samples, narrow_type
 from tofssm_drake.human.motion import HumanMotion, capsule_ends_over_time
-from tofssm_drake.leaf_system import (
-    DID_NOTHING,
-    LeafSystem,
-)
 from tofssm_drake.messages import (
     RINGS,
     MaskedScan,
@@ -224,7 +222,7 @@ class MessageLog(LeafSystem):
 
     def _update(self, context, discrete_state):
         self._record(context, context.get_time())
-        return DID_NOTHING
+        return EventStatus.DidNothing()
 
     def _record(self, context, time):
         log = self.find_log(context)

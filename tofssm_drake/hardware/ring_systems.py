@@ -5,11 +5,10 @@ import dataclasses as dc
 
 import numpy as np
 from pydrake.common.value import Value
-from pydrake.systems.framework import Context, State
+from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
 
 from tofssm_drake.errors import UserError, require
 from tofssm_drake.hardware.ring_link import RingConnection, explain_silence
-from tofssm_drake.leaf_system import DID_NOTHING, SUCCEEDED, LeafSystem
 from tofssm_drake.messages import RINGS, RingScan
 
 
@@ -159,7 +158,7 @@ class RingSubscriberSystem(LeafSystem):
         if self._clock_offset.HasValue(context):
             offset = self._clock_offset.Eval(context)[0]
             now = context.get_time() - offset + self._max_ahead
-        status = DID_NOTHING
+        status = EventStatus.DidNothing()
         for index, scan in zip(
             self._scans, self._connection.get_scans(), strict=True
         ):
@@ -168,5 +167,5 @@ class RingSubscriberSystem(LeafSystem):
                 state.get_mutable_abstract_state(index).set_value(
                     shift_scan(scan, offset)
                 )
-                status = SUCCEEDED
+                status = EventStatus.Succeeded()
         return status

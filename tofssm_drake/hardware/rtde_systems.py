@@ -15,6 +15,7 @@ from pydrake.systems.framework import (
     BasicVector,
     Context,
     EventStatus,
+    LeafSystem,
     State,
 )
 
@@ -26,7 +27,6 @@ from tofssm_drake.hardware.slider import (
     SliderState,
     step_slider,
 )
-from tofssm_drake.leaf_system import DID_NOTHING, SUCCEEDED, LeafSystem
 from tofssm_drake.messages import RobotReport, SliderCommand
 
 
@@ -125,9 +125,9 @@ class RtdeSubscriberSystem(LeafSystem):
     def _update(self, context: Context, state: State) -> EventStatus:
         report = self._connection.get_report()
         if report is context.get_abstract_state(self._report).get_value():
-            return DID_NOTHING
+            return EventStatus.DidNothing()
         state.get_mutable_abstract_state(int(self._report)).set_value(report)
-        return SUCCEEDED
+        return EventStatus.Succeeded()
 
 
 class RtdePublisherSystem(LeafSystem):
@@ -157,7 +157,7 @@ class RtdePublisherSystem(LeafSystem):
     def _publish(self, context: Context) -> EventStatus:
         # Nothing follows from what send returns: the slider's echo tells.
         self._connection.send(self._command.Eval(context))
-        return SUCCEEDED
+        return EventStatus.Succeeded()
 
 
 class RobotReportReceiver(LeafSystem):
@@ -324,6 +324,6 @@ class SliderControl(LeafSystem):
     def _update(self, context: Context, state: State) -> EventStatus:
         slider = self._slider.Eval(context)
         if slider is context.get_abstract_state(self._state).get_value():
-            return DID_NOTHING
+            return EventStatus.DidNothing()
         state.get_mutable_abstract_state(int(self._state)).set_value(slider)
-        return SUCCEEDED
+        return EventStatus.Succeeded()

@@ -127,8 +127,6 @@ class RecordedTick:
     """Newest scan of each ring, on the host's clock; of virtual ones none."""
     command: SliderCommand
     """What was sent, or would have been in a dry run."""
-    early_scans: tuple[RingScan, ...] = ()
-    """Those that were taken right after the tick before; none: not so."""
     state: dict
     """What the monitor said: robot_state, ring_states, reason, ..."""
     sent: float = math.nan
@@ -275,11 +273,7 @@ class RunRecorder:
             UserError: Something before could not be written.
         """
         self._raise_error()
-        early_scans = self._list_new(tick.early_scans)
         values = _make_plain(tick) | {"scans": self._list_new(tick.scans)}
-        del values["early_scans"]
-        if early_scans:
-            values["early_scans"] = early_scans
         time = tick.report.time
         self._add(_TICK, encode_json(values), time)
         self._add(_MONITOR, encode_json(make_monitor_message(tick)), time)
@@ -440,14 +434,12 @@ class RunReader:
         end = "its begin"
         for values in self._read(_TICK):
             try:
-                early_scans = ()
-                if "early_scans" in values:
-                    early_scans = _update_scans(scans, values["early_scans"])
+                # An older record has scans that were taken a little sooner.
+                _update_scans(scans, values.get("early_scans", ()))
                 tick = RecordedTick(
                     time=values["time"],
                     clock_offset=values["clock_offset"],
                     report=_fill(RobotReport, values["report"]),
-                    early_scans=early_scans,
                     scans=_update_scans(scans, values["scans"]),
                     command=_fill(SliderCommand, values["command"]),
                     state=values["state"],

@@ -79,11 +79,10 @@ SCHEMAS = {
         arm=_make_object(**dict.fromkeys(vars(ArmConfig()), _NUMBER)),
     ),
     "/tick": _make_object(
-        ("sent", "early_scans"),
+        ("sent",),
         time=_NUMBER,
         clock_offset=_NUMBER,
         report=_make_message(RobotReport()),
-        early_scans=_SCANS,
         scans=_SCANS,
         command=_make_message(SliderCommand()),
         state=_make_object(

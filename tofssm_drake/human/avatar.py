@@ -14,10 +14,10 @@ from pydrake.geometry import (
     Sphere,
 )
 from pydrake.math import RigidTransform
+from pydrake.systems.framework import LeafSystem
 
 from tofssm_drake.human.motion import HumanMotion, capsule_ends
 from tofssm_drake.human.skeleton import CAPSULES, COLOURS, calc_capsule_poses
-from tofssm_drake.leaf_system import LeafSystem
 
 _SHORTEST_CAPSULE = 1e-3
 """m; a shorter piece is registered as a sphere."""

@@ -9,10 +9,9 @@ cell and those of the monitor's twin.
 import dataclasses as dc
 
 import numpy as np
-from pydrake.systems.framework import BasicVector, Context
+from pydrake.systems.framework import BasicVector, Context, LeafSystem
 
 from tofssm_drake.kernels import njit
-from tofssm_drake.leaf_system import LeafSystem
 from tofssm_drake.robot.kinematics import RingKinematics, calc_sites
 from tofssm_drake.robot.program import (
     ProgramConfig,

@@ -12,12 +12,16 @@ import dataclasses as dc
 import functools
 
 import numpy as np
-from pydrake.systems.framework import BasicVector, Context, DiscreteValues
+from pydrake.systems.framework import (
+    BasicVector,
+    Context,
+    DiscreteValues,
+    LeafSystem,
+)
 import ruckig
 
 from tofssm_drake.errors import UserError, require, require_period
 from tofssm_drake.kernels import njit
-from tofssm_drake.leaf_system import LeafSystem
 from tofssm_drake.robot.kinematics import (
     RingKinematics,
     calc_tool_down_joints,

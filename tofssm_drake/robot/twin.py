@@ -12,10 +12,7 @@ import functools
 
 import numpy as np
 from pydrake.geometry import SceneGraph
-from pydrake.multibody.plant import (
-    DiscreteContactApproximation,
-    MultibodyPlant,
-)
+from pydrake.multibody.plant import MultibodyPlant
 
 from tofssm_drake.errors import UserError, require
 from tofssm_drake.kernels import njit
@@ -112,10 +109,6 @@ def make_cell_plant(
         # Outputs show the state itself: a quarter faster, and nothing here
         # reads what would be sampled (contact results).
         plant.SetUseSampledOutputPorts(False)
-        # Without contact all approximations step alike; this one soonest.
-        plant.set_discrete_contact_approximation(
-            DiscreteContactApproximation.kTamsi
-        )
     plant.Finalize()
     if sensors_per_ring and scene_graph is not None:
         add_ring_looks(plant, scene_graph)

@@ -5,14 +5,10 @@ import math
 
 import numpy as np
 from pydrake.common.value import Value
-from pydrake.systems.framework import (
-    Context,
-    State,
-)
+from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
 
 from tofssm_drake.errors import require_period
 from tofssm_drake.kernels import njit
-from tofssm_drake.leaf_system import SUCCEEDED, LeafSystem
 from tofssm_drake.messages import (
     RINGS,
     Reading,
@@ -298,7 +294,7 @@ class IdealSeparation(LeafSystem):
                 waiting=tuple(waiting),
             )
         )
-        return SUCCEEDED
+        return EventStatus.Succeeded()
 
     def _sample(self, context, time, before):
         """Returns where the person is now, and the separation."""

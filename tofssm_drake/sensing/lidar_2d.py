@@ -9,11 +9,10 @@ from pydrake.common import RandomDistribution
 from pydrake.common.value import Value
 from pydrake.geometry import FrameId, GeometryId, QueryObject
 from pydrake.math import RigidTransform
-from pydrake.systems.framework import Context, EventStatus, State
+from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
 
 from tofssm_drake.errors import require
 from tofssm_drake.geometry.ray_caster import RayBundles, RayCaster
-from tofssm_drake.leaf_system import LeafSystem
 from tofssm_drake.messages import LidarScan
 from tofssm_drake.sensing.vl53l1x import check_range
 

@@ -13,11 +13,10 @@ from typing import Protocol
 
 import numpy as np
 from pydrake.common.value import Value
-from pydrake.systems.framework import Context, State
+from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
 
 from tofssm_drake.errors import require, require_period
 from tofssm_drake.kernels import njit
-from tofssm_drake.leaf_system import DID_NOTHING, SUCCEEDED, LeafSystem
 from tofssm_drake.messages import (
     LidarScan,
     Reading,
@@ -370,7 +369,7 @@ class LidarSeparation(LeafSystem):
         scan = self._scan.Eval(context)
         before = context.get_abstract_state(self._before).get_value()
         if scan.sequence < 0 or scan.sequence == before.scan.sequence:
-            return DID_NOTHING
+            return EventStatus.DidNothing()
         if scan.ranges.shape != self._background.shape:
             raise ValueError(
                 f"scan has {len(scan.ranges)} rays, the background "
@@ -398,4 +397,4 @@ class LidarSeparation(LeafSystem):
         state.get_mutable_abstract_state(self._before).set_value(
             _Classified(scan=scan, reading=reading)
         )
-        return SUCCEEDED
+        return EventStatus.Succeeded()

@@ -11,6 +11,8 @@ from pydrake.common.value import Value
 from pydrake.systems.framework import (
     Context,
     DiscreteValues,
+    EventStatus,
+    LeafSystem,
     State,
 )
 
@@ -18,11 +20,6 @@ from tofssm_drake.errors import require, require_period
 from tofssm_drake.geometry.fan import make_cone_fan
 from tofssm_drake.geometry.ray_caster import RayBundles, RayCaster
 from tofssm_drake.kernels import njit
-from tofssm_drake.leaf_system import (
-    DID_NOTHING,
-    SUCCEEDED,
-    LeafSystem,
-)
 from tofssm_drake.messages import (
     RINGS,
     MaskedScan,
@@ -941,7 +938,7 @@ class OcclusionMask(LeafSystem):
         sequence = [scan.sequence for scan in scans]
         last_sequence = state.get_discrete_state().get_value(self._sequence)
         if sequence == last_sequence.tolist():
-            return DID_NOTHING
+            return EventStatus.DidNothing()
         values = [
             state.get_mutable_abstract_state(index)
             for index in self._masked_scans
@@ -975,4 +972,4 @@ class OcclusionMask(LeafSystem):
             if new:
                 value.set_value(masked_scan)
         state.get_mutable_discrete_state().set_value(self._sequence, sequence)
-        return SUCCEEDED
+        return EventStatus.Succeeded()

@@ -5,12 +5,11 @@ from collections.abc import Sequence
 import numpy as np
 from pydrake.common.value import Value
 from pydrake.geometry import FrameId
-from pydrake.systems.framework import Context
+from pydrake.systems.framework import Context, LeafSystem
 
 from tofssm_drake.geometry.ray_caster import RayCaster
 from tofssm_drake.human.skeleton import calc_capsule_poses
 from tofssm_drake.kernels import njit
-from tofssm_drake.leaf_system import LeafSystem
 from tofssm_drake.robot.products import ProductLayout
 from tofssm_drake.robot.twin import TwinPoses
 

@@ -12,12 +12,16 @@ import math
 import numpy as np
 from pydrake.common.value import Value
 from pydrake.math import RigidTransform, RotationMatrix
-from pydrake.systems.framework import Context, DiscreteValues, EventStatus
+from pydrake.systems.framework import (
+    Context,
+    DiscreteValues,
+    EventStatus,
+    LeafSystem,
+)
 
 from tofssm_drake.errors import require_period
 from tofssm_drake.geometry.ray_caster import RayBundles, RayCaster
 from tofssm_drake.kernels import njit
-from tofssm_drake.leaf_system import DID_NOTHING, SUCCEEDED, LeafSystem
 from tofssm_drake.messages import (
     RINGS,
     MaskedScan,
@@ -695,7 +699,7 @@ class SelfHitWatch(LeafSystem):
         has_changed = (carried != before.carried[:2]).any()
         last = before.sequence.tolist()
         if sequence == last and not has_changed:
-            return DID_NOTHING
+            return EventStatus.DidNothing()
         state = view_state(
             self._model, discrete_state.get_mutable_value(self._state)
         )
@@ -704,12 +708,12 @@ class SelfHitWatch(LeafSystem):
             state.carried[:2] = carried
             state.carried[2] = context.get_time()
         if context.get_time() < state.carried[2] + _UNCERTAIN:
-            return SUCCEEDED
+            return EventStatus.Succeeded()
         moved = np.abs(report[:6] - before.position).max()
         if moved < self._model.config.min_motion:
             state.rest[0] += 1.0
             if state.rest[0] % _REST_LOOKS:
-                return SUCCEEDED
+                return EventStatus.Succeeded()
         masked_scans = [port.Eval(context) for port in self._masked_scans]
         looks = make_looks(
             [
@@ -726,7 +730,7 @@ class SelfHitWatch(LeafSystem):
         )
         for look in looks:
             count_look(self._model, state, look)
-        return SUCCEEDED
+        return EventStatus.Succeeded()
 
     def _calc_health(self, context: Context, output):
         vector = context.get_discrete_state(self._state).value()

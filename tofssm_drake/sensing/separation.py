@@ -7,10 +7,9 @@ from typing import Protocol
 
 import numpy as np
 from pydrake.common.value import Value
-from pydrake.systems.framework import Context
+from pydrake.systems.framework import Context, LeafSystem
 
 from tofssm_drake.kernels import njit
-from tofssm_drake.leaf_system import LeafSystem
 from tofssm_drake.messages import (
     FAULT_NAMES,
     RINGS,

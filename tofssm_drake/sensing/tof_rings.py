@@ -8,16 +8,11 @@ import numpy as np
 from pydrake.common import RandomDistribution
 from pydrake.common.value import Value
 from pydrake.geometry import QueryObject
-from pydrake.systems.framework import Context, State
+from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
 
 from tofssm_drake.errors import require
 from tofssm_drake.geometry.fan import make_cone_fan
 from tofssm_drake.geometry.ray_caster import RayBundles, RayCaster
-from tofssm_drake.leaf_system import (
-    DID_NOTHING,
-    SUCCEEDED,
-    LeafSystem,
-)
 from tofssm_drake.messages import RINGS, RingScan
 from tofssm_drake.sensing.ring_mount import RingMount
 from tofssm_drake.sensing.vl53l1x import (
@@ -263,11 +258,11 @@ class TofRings(LeafSystem):
             not queue.scans
             or queue.scans[0][0].time > context.get_time() + 1e-6
         ):
-            return DID_NOTHING
+            return EventStatus.DidNothing()
         for index, scan in zip(self._scans, queue.scans[0], strict=True):
             state.get_mutable_abstract_state(index).set_value(scan)
         value.set_value(_Queue(queue.scans[1:], queue.next_sequence))
-        return SUCCEEDED
+        return EventStatus.Succeeded()
 
     def _measure(self, context: Context, sequence: int) -> tuple[RingScan, ...]:
         if self._frame_poses.HasValue(context):

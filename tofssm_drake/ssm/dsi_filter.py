@@ -4,14 +4,10 @@ import dataclasses as dc
 
 import numpy as np
 from pydrake.common.value import Value
+from pydrake.systems.framework import EventStatus, LeafSystem
 
 from tofssm_drake.errors import require_period
 from tofssm_drake.kernels import njit
-from tofssm_drake.leaf_system import (
-    DID_NOTHING,
-    SUCCEEDED,
-    LeafSystem,
-)
 from tofssm_drake.messages import (
     RINGS,
     RingHealth,
@@ -332,5 +328,5 @@ class DsiFilter(LeafSystem):
             index.dsi,
             self._robot_state.Eval(context)[0],
         ):
-            return SUCCEEDED
-        return DID_NOTHING
+            return EventStatus.Succeeded()
+        return EventStatus.DidNothing()

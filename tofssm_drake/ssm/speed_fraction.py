@@ -6,6 +6,7 @@ import functools
 import math
 import threading
 
+from pydrake.systems.framework import EventStatus, LeafSystem
 from ruckig import (
     ControlInterface,
     InputParameter,
@@ -16,11 +17,6 @@ from ruckig import (
 )
 
 from tofssm_drake.errors import require_period
-from tofssm_drake.leaf_system import (
-    DID_NOTHING,
-    SUCCEEDED,
-    LeafSystem,
-)
 from tofssm_drake.messages import RobotState
 from tofssm_drake.ssm.config import SsmConfig
 
@@ -157,7 +153,7 @@ class SpeedFractionTrajectory(LeafSystem):
         (rate,) = discrete_state.get_value(self._rate).tolist()
         target = self._targets.get(self._robot_state.Eval(context)[0], 0.0)
         if rho == target and rate == 0.0:
-            return DID_NOTHING
+            return EventStatus.DidNothing()
         rho, rate = calc_next_speed_fraction(
             config=self._config,
             period=self._period,
@@ -167,4 +163,4 @@ class SpeedFractionTrajectory(LeafSystem):
         )
         discrete_state.get_mutable_value(self._rho)[0] = rho
         discrete_state.get_mutable_value(self._rate)[0] = rate
-        return SUCCEEDED
+        return EventStatus.Succeeded()

@@ -4,9 +4,9 @@ import dataclasses as dc
 
 import numpy as np
 from pydrake.common.value import Value
+from pydrake.systems.framework import LeafSystem
 
 from tofssm_drake.kernels import njit
-from tofssm_drake.leaf_system import LeafSystem
 from tofssm_drake.messages import (
     RINGS,
     RingHealth,

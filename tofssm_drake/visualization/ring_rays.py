@@ -5,8 +5,8 @@ from pydrake.common.value import Value
 from pydrake.geometry import Box, Cylinder, Meshcat, MeshcatCone, Sphere
 from pydrake.math import RigidTransform, RotationMatrix
 from pydrake.multibody.plant import MultibodyPlant
+from pydrake.systems.framework import LeafSystem
 
-from tofssm_drake.leaf_system import LeafSystem
 from tofssm_drake.messages import RINGS, MaskedScan, Reading
 from tofssm_drake.robot.kinematics import RingKinematics
 from tofssm_drake.visualization import palette

@@ -5,8 +5,8 @@ import itertools
 import numpy as np
 from pydrake.geometry import Box, Cylinder, Meshcat, Rgba
 from pydrake.math import RigidTransform, RollPitchYaw
+from pydrake.systems.framework import LeafSystem
 
-from tofssm_drake.leaf_system import LeafSystem
 from tofssm_drake.messages import RobotState
 from tofssm_drake.visualization import palette
 from tofssm_drake.visualization.animated import AnimatedProperty
