@@ -29,6 +29,7 @@ from tofssm_drake.sensing.lidar_separation import LidarSeparation
 from tofssm_drake.sensing.occlusion_mask import (
     OcclusionMask,
     make_mask_bundles,
+    make_proof_bundles,
 )
 from tofssm_drake.sensing.ring_mount import find_ring_mount
 from tofssm_drake.sensing.self_hit_coverage import (
@@ -356,6 +357,12 @@ def _add_mask(builder, scenario, scene_graph, plant, kinematics):
             config=scenario.mask,
             caster=caster,
             period=scenario.control_period,
+            proof_bundles=make_proof_bundles(
+                config=scenario.mask,
+                ring_config=scenario.rings,
+                caster=caster,
+                mounts=mounts,
+            ),
             is_dead=find_dead_sensors(scenario),
             bundles=make_mask_bundles(
                 config=scenario.mask,

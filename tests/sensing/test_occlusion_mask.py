@@ -63,7 +63,7 @@ def make_cell(config, n=8, names=("base",)):
         )
         for i in range(n)
     ]
-    bundles = mut.make_mask_bundles(
+    mounting = dict(
         config=config,
         ring_config=TofRingConfig(),
         caster=caster,
@@ -78,7 +78,12 @@ def make_cell(config, n=8, names=("base",)):
             for name in names
         ],
     )
-    return dict(caster=caster, bundles=bundles, twin=SphereTwin())
+    return dict(
+        caster=caster,
+        bundles=mut.make_mask_bundles(**mounting),
+        proof_bundles=mut.make_proof_bundles(**mounting),
+        twin=SphereTwin(),
+    )
 
 
 def mask_scan(config, *, scan, before, cell, **kwargs):
@@ -499,10 +504,14 @@ def mask_in_full(config, *, scan, before, time, table, cell, ring):
         position=reports[:, 1:7],
         velocity=reports[:, 7:13],
     )
-    # Of the fan's rays these are well within the cone, in this test.
-    inner = looks[0][:, :9]
-    hits = ((inner >= config.min_range) & (inner <= 0.9)).sum(axis=1)
-    is_proven = not ((reading == CLEAR) & (hits >= 2)).any()
+    is_proven = True
+    for i in np.flatnonzero(reading == CLEAR):
+        report = mut.interpolate_reports(table, sensor_time[i])
+        X_WF = cell["twin"].calc(report[1:7], report[13], report[14])
+        rays, _ = cell["caster"].cast_bundles(cell["proof_bundles"], X_WF)
+        rays = rays[rows][i]
+        if ((rays >= config.min_range) & (rays <= 0.9)).sum() >= 2:
+            is_proven = False
     for i in range(n):
         remember_in_full(
             config,
@@ -559,6 +568,38 @@ def remember_in_full(
     if result.reading[i] == HELD:
         result.position[i] = report[1:7]
         result.velocity[i] = report[7:13]
+
+
+class TestProof(unittest.TestCase):
+    """A blind ring must not release the stop that it holds."""
+
+    def run_blind(self, *, position):
+        """Sensor 0 has seen somebody; then no sensor sees anything."""
+        config = mut.OcclusionMaskConfig()
+        cell = make_cell(config)
+        table = make_history([0.9, 1.3], [position] * 2)
+        readings = []
+        masked = MaskedScan()
+        for i in range(6):
+            status = 0 if i < 2 else 2
+            masked = mask_scan(
+                config,
+                scan=make_scan(0.3, status, sequence=i, time=1.0 + 0.024 * i),
+                before=masked,
+                cell=cell,
+                time=1.015 + 0.024 * i,
+                table=table,
+            )
+            readings.append(masked.reading[0])
+        return readings
+
+    def test_where_the_robot_must_be_seen_nothing_is_confirmed(self):
+        self.assertEqual(self.run_blind(position=0.6), [VALID] * 2 + [HELD] * 4)
+
+    def test_where_it_need_not_be_seen(self):
+        self.assertEqual(
+            self.run_blind(position=1.2), [VALID] * 2 + [HELD] + [CLEAR] * 3
+        )
 
 
 class TestMaskScans(unittest.TestCase):

@@ -129,6 +129,31 @@ def make_mask_bundles(
     )
 
 
+def make_proof_bundles(
+    *,
+    config: OcclusionMaskConfig,
+    ring_config: TofRingConfig,
+    caster: RayCaster,
+    mounts: Sequence[RingMount],
+) -> RayBundles:
+    """Makes the rays that tell where a sensor must see the robot.
+
+    As those of the mask, in a cone that is narrower than the sensor's by
+    `edge_margin_deg` on each side: what its edge grazes need not be seen.
+    """
+    narrow_deg = ring_config.fov_deg - 2.0 * config.edge_margin_deg
+    return caster.make_bundles(
+        frame_id=[mount.frame_id for mount in mounts for _ in mount.X_FS],
+        X_FS=[X for mount in mounts for X in mount.X_FS],
+        fan_S=make_cone_fan(
+            math.radians(max(narrow_deg, 0.1)),
+            config.rays_per_sensor or ring_config.rays_per_sensor,
+        ),
+        max_range=_SURELY_SEEN,
+        excluded=[mount.geometry_ids for mount in mounts for _ in mount.X_FS],
+    )
+
+
 def make_mask_fan(
     config: OcclusionMaskConfig, ring_config: TofRingConfig
 ) -> np.ndarray:
@@ -526,6 +551,7 @@ def mask_scans(
     caster: RayCaster,
     bundles: RayBundles,
     twin: Twin,
+    proof_bundles: RayBundles | None = None,
     is_dead: np.ndarray | None = None,
 ) -> tuple[MaskedScan, ...]:
     """Tells what each reading of new scans means.
@@ -546,6 +572,8 @@ def mask_scans(
         caster: of the twin.
         bundles: the rays of all rings' sensors, see `make_mask_bundles`.
         twin: gives the poses that the caster needs.
+        proof_bundles: the rays that tell where a sensor must see the robot,
+            see `make_proof_bundles`; None: nothing must be proven.
         is_dead: whether each sensor is declared dead, (N,); None: none is.
 
     Returns:
@@ -576,14 +604,14 @@ def mask_scans(
         twin=twin,
     )
     is_proven = np.ones(num_sensors, dtype=bool)
-    if config.enabled:
+    if config.enabled and proof_bundles is not None:
         is_proven = _find_proven(
             samples=samples,
             told=told,
             sensors_per_ring=n,
             table=table,
             caster=caster,
-            bundles=bundles,
+            bundles=proof_bundles,
             twin=twin,
             least=config.min_range,
         )
@@ -680,21 +708,19 @@ def _choose_to_prove(samples, told, n):
 
 
 @njit(cache=True)
-def _count_inner_hits(self_distance, is_inner, which, least, hits):
-    """Counts the inner rays that hit the robot where it must be seen.
+def _count_sure_hits(self_distance, which, least, hits):
+    """Counts the rays that hit the robot where it must be seen.
 
     Args:
         self_distance: along each ray, m, (N, k); inf: none.
-        is_inner: whether a ray is well within the sensor's cone, (k,).
         which: whether a sensor was cast, (N,).
         least: nearest distance that can be measured, m.
         hits: result, (N,).
     """
     for i in range(self_distance.shape[0]):
         if which[i]:
-            for j in range(self_distance.shape[1]):
-                d = self_distance[i, j]
-                if is_inner[j] and least <= d <= _SURELY_SEEN:
+            for d in self_distance[i]:
+                if least <= d <= _SURELY_SEEN:
                     hits[i] += 1
 
 
@@ -710,7 +736,6 @@ def _find_proven(
     hits = np.zeros(len(rest), dtype=int)
     which = np.empty(len(rest), dtype=bool)
     report = np.empty(_COLUMNS)
-    is_inner = _find_inner_rays(bundles.fan_S)
     more = bool(rest.any())
     while more:
         more = _begin_look(samples, table, 0.0, rest, which, report)
@@ -720,18 +745,9 @@ def _find_proven(
             report[_PRODUCTS_PLACED],
         )
         self_distance, _ = caster.cast_bundles(bundles, X_WF, which)
-        _count_inner_hits(self_distance, is_inner, which, least, hits)
+        _count_sure_hits(self_distance, which, least, hits)
     misses = (hits >= 2).reshape(-1, sensors_per_ring).any(axis=1)
     return np.repeat(~misses, sensors_per_ring)
-
-
-def _find_inner_rays(fan_S):
-    """Returns which rays lie at least 3 degrees within the fan's edge, (k,).
-
-    What only its edge grazes need not be seen.
-    """
-    angle = np.arccos(np.clip(fan_S[:, 0], -1.0, 1.0))
-    return angle < angle.max() - math.radians(3.0)
 
 
 def _load_scan(samples, told, first, n, scan, before):
@@ -838,6 +854,7 @@ class OcclusionMask(LeafSystem):
         caster: RayCaster,
         bundles: RayBundles,
         twin: Twin,
+        proof_bundles: RayBundles | None = None,
         is_dead: np.ndarray | None = None,
         name: tuple[str, ...] = RINGS,
     ):
@@ -850,6 +867,8 @@ class OcclusionMask(LeafSystem):
             bundles: the rings' rays by that caster, see `make_mask_bundles`;
                 as many for each ring.
             twin: gives the poses of `caster.frame_ids`.
+            proof_bundles: where a sensor must see the robot, see
+                `make_proof_bundles`; None: nothing must be proven.
             is_dead: whether each sensor is declared dead, ring by ring, (N,);
                 None: none is.
             name: the rings, in the order of `bundles`.
@@ -875,6 +894,7 @@ class OcclusionMask(LeafSystem):
         self._caster = caster
         self._bundles = bundles
         self._twin = twin
+        self._proof_bundles = proof_bundles
         self._is_dead = is_dead
         self._scans = [
             self.DeclareAbstractInputPort(f"scan_{ring}", Value(RingScan()))
@@ -937,6 +957,7 @@ class OcclusionMask(LeafSystem):
             caster=self._caster,
             bundles=self._bundles,
             twin=self._twin,
+            proof_bundles=self._proof_bundles,
             is_dead=self._is_dead,
         )
         for value, masked_scan, new in zip(

@@ -752,9 +752,14 @@ def apply_health(separation: Separation, health: SelfHitHealth) -> Separation:
     if not any(health.problem):
         return separation
     is_bad = [line != "" for line in health.problem]
+    before = separation.problem or ("",) * len(is_bad)
     return dc.replace(
         separation,
         health=np.where(is_bad, RingHealth.FAULTED, separation.health),
+        problem=tuple(
+            "; ".join(filter(None, lines))
+            for lines in zip(before, health.problem, strict=True)
+        ),
     )
 
 
