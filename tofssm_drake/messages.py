@@ -67,6 +67,8 @@ class SensorFault(enum.IntEnum):
     """It does not see the robot where it must."""
     DEAD = 12
     """Declared dead in the scenario: dropped, the robot is slow."""
+    RIDING_HIT = 13
+    """Something that is not the robot moves with it: tape, a cable, a hand."""
 
 
 FAULT_NAMES = {
@@ -83,6 +85,7 @@ FAULT_NAMES = {
     SensorFault.LINK: "link",
     SensorFault.UNSEEN_SELF_HIT: "unseen self-hit",
     SensorFault.DEAD: "declared dead",
+    SensorFault.RIDING_HIT: "riding hit",
 }
 """What lines and reports call the faults."""
 
@@ -342,7 +345,8 @@ class SelfHitHealth(_Frozen):
     name: tuple[str, ...] = RINGS
     """The m rings."""
     fault: np.ndarray
-    """`SensorFault` of each sensor, NONE or UNSEEN_SELF_HIT, (m, n)."""
+    """`SensorFault` of each sensor, (m, n): NONE, UNSEEN_SELF_HIT or
+    RIDING_HIT."""
     problem: tuple[str, ...]
     """Of each ring, what is wrong with it in one line; empty: nothing."""
 

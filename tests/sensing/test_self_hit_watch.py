@@ -140,6 +140,18 @@ def blind(*sensors):
     return change
 
 
+def tape(sensor, distance):
+    """A device one of whose sensors has something stuck in front of it."""
+
+    def change(distances, status):
+        distances, status = distances.copy(), status.copy()
+        distances[sensor] = distance
+        status[sensor] = 0
+        return distances, status
+
+    return change
+
+
 def watch(
     *,
     duration,
@@ -211,7 +223,11 @@ def watch(
                 products_placed=carried[1],
             ),
         )
-        if state.sensor_alarm.any() or state.misfit_alarm.any():
+        if (
+            state.sensor_alarm.any()
+            or state.misfit_alarm.any()
+            or state.ride_alarm.any()
+        ):
             return look * PERIOD, mut.tell_health(model, state)
     return None, state
 
@@ -320,6 +336,20 @@ class TestFaults(unittest.TestCase):
             others = [i for i in range(3) if i != ring]
             self.assertTrue((health.fault[others] == 0).all())
 
+    def test_hit_that_rides_with_the_robot(self):
+        # Those never see the robot. Near the base a metre takes longer.
+        for sensor, within in ((0, 8.0), (12, 4.0), (19, 3.0), (23, 3.0)):
+            time, health = watch(duration=within, device=tape(sensor, 0.9))
+            self.assertIsNotNone(time, f"sensor {sensor}")
+            ring, i = divmod(sensor, 8)
+            self.assertEqual(
+                health.problem[ring],
+                f"{RINGS[ring]} sensor {i}: a hit at 0.90 m rides with the "
+                "robot",
+            )
+            self.assertEqual(health.fault[ring, i], SensorFault.RIDING_HIT)
+            self.assertEqual(np.count_nonzero(health.fault), 1)
+
 
 class TestNoFault(unittest.TestCase):
     def test_robot_alone(self):
@@ -332,6 +362,12 @@ class TestNoFault(unittest.TestCase):
         """The robot goes through the person at full speed, again and again."""
         time, _ = watch(duration=140.0, human=True, seed=1)
         self.assertIsNone(time)
+
+    def test_person_does_not_ride(self):
+        """Nor does a short stretch of it come near."""
+        time, state = watch(duration=7.2, human=True, seed=1, start=11.0)
+        self.assertIsNone(time)
+        self.assertLess(state.ride_travel.max(), 0.8)
 
 
 class TestCoverage(unittest.TestCase):
@@ -401,6 +437,53 @@ class TestLooks(unittest.TestCase):
         self.assertEqual(mut.make_looks([None], [masked], np.zeros(2)), [])
 
 
+class Ride:
+    """The watch of a robot that turns, only tool sensor 6 sees something."""
+
+    def __init__(self):
+        model, path = make_model_and_path()
+        self.dut = mut.SelfHitWatch(model=model, period=PERIOD)
+        self.simulator = Simulator(self.dut)
+        self.context = self.simulator.get_mutable_context()
+        self.q = path.calc_motion(0.0)[0]
+        self.sequence = 0
+
+    def health(self):
+        port = self.dut.GetOutputPort("self_hit_health")
+        return port.Eval(self.context)
+
+    def look(self, distance, status=0):
+        time = self.context.get_time()
+        self.q = self.q.copy()
+        self.q[0] += 0.1 if self.sequence % 20 < 10 else -0.1
+        self.dut.GetInputPort("robot_report").FixValue(
+            self.context, np.concatenate([self.q, np.zeros(8)])
+        )
+        for name in RINGS:
+            # The others have no sample.
+            statuses = np.full(8, 254, dtype=np.uint8)
+            if name == "tool":
+                statuses[6] = status
+            scan = RingScan(
+                sequence=self.sequence,
+                time=time,
+                sensor_time=np.full(8, time),
+                distance=np.full(8, distance),
+                status=statuses,
+            )
+            masked = MaskedScan(
+                scan=scan,
+                position=np.tile(self.q, (8, 1)),
+                velocity=np.zeros((8, 6)),
+            )
+            for kind, message in (("scan", scan), ("masked_scan", masked)):
+                self.dut.GetInputPort(f"{kind}_{name}").FixValue(
+                    self.context, Value(message)
+                )
+        self.sequence += 1
+        self.simulator.AdvanceTo(self.sequence * PERIOD)
+
+
 class TestSystems(unittest.TestCase):
     def test_ring_that_sees_nothing_is_told(self):
         model, path = make_model_and_path()
@@ -438,6 +521,23 @@ class TestSystems(unittest.TestCase):
             self.assertRegex(line, f"unseen self-hit: {name} sensor")
         # The very same message until something changes.
         self.assertIs(port.Eval(context), health)
+
+    def test_hit_that_rides_is_told_until_it_ends(self):
+        rig = Ride()
+        # 0.1 rad a look: some 5 cm of the tool's way.
+        looks = 0
+        while not rig.health().problem[2] and looks < 40:
+            rig.look(0.9)
+            looks += 1
+        self.assertEqual(
+            rig.health().problem,
+            ("", "", "tool sensor 6: a hit at 0.90 m rides with the robot"),
+        )
+        # A sample that failed does not end it, an empty room does.
+        rig.look(0.0, status=5)
+        self.assertNotEqual(rig.health().problem[2], "")
+        rig.look(0.0, status=2)
+        self.assertEqual(rig.health().problem, ("", "", ""))
 
     def test_link_is_faulted(self):
         dut = mut.SelfHitStop()

@@ -35,9 +35,107 @@ class TestConfig(unittest.TestCase):
             ({"miss_rate": 0.3, "broken_rate": 0.2}, "broken_rate: 0.2"),
             ({"turns_deg": [0.0]}, "self_hits.turns_deg: 0.0"),
             ({"max_distance": math.nan}, "self_hits.max_distance"),
+            ({"ride_travel": 0.0}, "self_hits.ride_travel: 0.0"),
         ):
             with self.assertRaisesRegex(UserError, message):
                 mut.SelfHitConfig(**change).check("self_hits")
+
+
+class Rides:
+    """One sensor that moves along x, look by look."""
+
+    def __init__(self):
+        self.start = np.array([INF])
+        self.travel = np.zeros(1)
+        self.last = np.zeros((1, 3))
+        self.alarm = np.zeros(1)
+
+    def look(self, x, distance=0.9, outcome=mut.ALONE, status=0):
+        """Counts a look at x, m; returns distance, travel and alarm."""
+        mut.step_rides(
+            self.start,
+            self.travel,
+            self.last,
+            self.alarm,
+            np.array([outcome]),
+            np.array([distance]),
+            np.array([status], dtype=np.uint8),
+            np.array([[x, 2.0, 3.0]]),
+            0.03,
+            1.0,
+        )
+        return self.start[0], round(self.travel[0], 6), self.alarm[0]
+
+
+class TestRides(unittest.TestCase):
+    def test_alarm_beyond_the_travel(self):
+        dut = Rides()
+        # Where the stretch begins, and how it was reached, does not count.
+        self.assertEqual(dut.look(5.0), (0.9, 0.0, 0.0))
+        self.assertEqual(dut.look(5.6, 0.929), (0.9, 0.6, 0.0))
+        # To and fro is travel, too.
+        self.assertEqual(dut.look(5.2, 0.871), (0.9, 1.0, 0.0))
+        self.assertEqual(dut.look(5.21), (0.9, 1.01, 1.0))
+        # It lasts while the robot stands.
+        self.assertEqual(dut.look(5.21), (0.9, 1.01, 1.0))
+
+    def test_another_distance_begins_anew(self):
+        dut = Rides()
+        dut.look(0.0)
+        self.assertEqual(dut.look(1.1), (0.9, 1.1, 1.0))
+        # By 31 mm more than at the start, however slowly.
+        self.assertEqual(dut.look(1.2, 0.92), (0.9, 1.2, 1.0))
+        self.assertEqual(dut.look(1.3, 0.931), (0.931, 0.0, 0.0))
+        self.assertEqual(dut.look(2.4, 0.931), (0.931, 1.1, 1.0))
+
+    def test_what_the_robot_explains_or_an_empty_room_ends_it(self):
+        for outcome, status in (
+            (mut.MATCH, 0),
+            (mut.MISS, 0),
+            (mut.MISS, 2),
+            (mut.QUIET, 2),
+            (mut.QUIET, 4),
+            (mut.QUIET, 7),
+        ):
+            dut = Rides()
+            dut.look(0.0)
+            dut.look(1.1)
+            self.assertEqual(
+                dut.look(1.2, outcome=outcome, status=status),
+                (INF, 0.0, 0.0),
+            )
+            self.assertEqual(dut.look(9.0), (0.9, 0.0, 0.0))
+
+    def test_no_failure_ends_it(self):
+        for status in (1, 5, 8, 240, 253, 254, 255):
+            dut = Rides()
+            dut.look(0.0)
+            dut.look(1.1)
+            self.assertEqual(
+                dut.look(1.2, 0.0, mut.QUIET, status), (0.9, 1.1, 1.0)
+            )
+            self.assertEqual(dut.look(1.2), (0.9, 1.2, 1.0))
+
+    def test_noise_of_a_robot_that_stands_is_no_travel(self):
+        dut = Rides()
+        for i in range(10_000):
+            dut.look(0.0004 * (i % 2))
+        self.assertEqual(dut.travel[0], 0.0)
+        # Slow motion is.
+        for i in range(1101):
+            dut.look(0.0006 * i)
+        self.assertAlmostEqual(dut.travel[0], 0.66, places=3)
+
+    def test_origins(self):
+        X_WF = np.empty((2, 3, 4))
+        X_WF[0] = np.nan
+        # F is turned by 90 deg about z, and moved.
+        X_WF[1] = [[0, -1, 0, 1], [1, 0, 0, 2], [0, 0, 1, 3]]
+        X_FS = np.zeros((1, 3, 4))
+        X_FS[0, :, 3] = [0.1, 0.2, 0.3]
+        np.testing.assert_allclose(
+            mut.calc_origins(X_WF, np.array([1]), X_FS), [[0.8, 2.1, 3.3]]
+        )
 
 
 class TestExpectation(unittest.TestCase):

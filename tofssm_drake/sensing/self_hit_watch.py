@@ -45,6 +45,7 @@ from tofssm_drake.sensing.self_hits import (
     MODEL,
     Misfit,
     SelfHitConfig,
+    calc_origins,
     classify_self_hits,
     list_misfits,
     list_swaps,
@@ -55,6 +56,7 @@ from tofssm_drake.sensing.self_hits import (
     name_order,
     step_misfit,
     step_orders,
+    step_rides,
     step_sensors,
     widen_expectation,
 )
@@ -209,6 +211,15 @@ class SelfHitState:
     """Of each test for a misfit, (b,): orders ring by ring, swaps, misfits."""
     misfit_alarm: np.ndarray
     """0 or 1, (b,)."""
+    ride_start: np.ndarray
+    """Distance at which each sensor's stretch began, m, (N,); inf: none.
+    This and the next three are those of `step_rides`."""
+    ride_travel: np.ndarray
+    """How far the sensor has moved since, m, (N,)."""
+    ride_last: np.ndarray
+    """Where it was when that was counted, in world, m, (N, 3)."""
+    ride_alarm: np.ndarray
+    """0 or 1, (N,)."""
     expectation: np.ndarray
     """What was expected of each sensor at its last look, (3, N)."""
     position: np.ndarray
@@ -227,8 +238,12 @@ def _lay_out(rings, sensors, tests):
     shapes = {
         "sensor_alarm": (sensors,),
         "misfit_alarm": (tests,),
+        "ride_alarm": (sensors,),
         "sensor_sum": (sensors,),
         "misfit_sum": (tests,),
+        "ride_start": (sensors,),
+        "ride_travel": (sensors,),
+        "ride_last": (sensors, 3),
         "expectation": (3, sensors),
         "position": (rings, 6),
         "sequence": (rings,),
@@ -256,6 +271,7 @@ def make_state_vector(model: SelfHitModel) -> np.ndarray:
     vector = np.zeros(_lay_out_model(model)[-1][1].stop)
     state = view_state(model, vector)
     state.expectation[:] = make_no_expectation(len(state.sensor_sum))
+    state.ride_start[:] = np.inf
     state.position[:] = np.inf
     state.sequence[:] = -1.0
     state.carried[2] = -np.inf
@@ -399,7 +415,7 @@ def expect(
     shift: float = 0.0,
     offset: float = 0.0,
     which: np.ndarray | None = None,
-) -> None:
+) -> np.ndarray:
     """Tells what a look's sensors may and must see.
 
     Args:
@@ -410,15 +426,18 @@ def expect(
         shift: when after the samples' time to look at the robot, s.
         offset: what the first joint has more than reported, rad.
         which: the sensors, (N,); None: all of the look's.
+
+    Returns:
+        X_WF of the caster's frames, (frames, 3, 4).
     """
     q = look.q + shift * look.qd
     q[0] += offset
+    X_WF = model.twin.calc(q, look.gripper_closed, look.products_placed)
     distance, _ = model.caster.cast_bundles(
-        bundles,
-        model.twin.calc(q, look.gripper_closed, look.products_placed),
-        look.which if which is None else which,
+        bundles, X_WF, look.which if which is None else which
     )
     widen_expectation(distance, model.num_wide, expectation)
+    return X_WF
 
 
 def count_look(model: SelfHitModel, state: SelfHitState, look: Look) -> None:
@@ -439,7 +458,9 @@ def count_look(model: SelfHitModel, state: SelfHitState, look: Look) -> None:
             look.distance, look.status, expectation, *model.limits, outcome
         )
 
-    expect(model, look, model.believed, expectation)
+    X_WF = expect(model, look, model.believed, expectation)
+    rays = model.believed
+    origin = calc_origins(X_WF, rays.frame_index, rays.X_FS)
     is_odd = classify()
     margin = model.time_margin + look.spread
     if is_odd and margin > 0.0 and np.abs(look.qd).max() > _STILL:
@@ -455,6 +476,7 @@ def count_look(model: SelfHitModel, state: SelfHitState, look: Look) -> None:
         config.broken_rate,
         config.sensor_threshold,
     )
+    _count_rides(model, state, look, outcome, origin)
     state.expectation[:, look.which] = expectation[:, look.which]
     first = look.rings[0]
     if np.abs(look.q - state.position[first]).max() < config.min_motion:
@@ -467,6 +489,22 @@ def count_look(model: SelfHitModel, state: SelfHitState, look: Look) -> None:
     for ring in look.rings:
         _try_orders(model, state, look, outcome, ring, odd[ring])
     _try_misfits(model, state, look, outcome, odd)
+
+
+def _count_rides(model, state, look, outcome, origin):
+    """Counts a look in the watch for hits that ride with the robot."""
+    step_rides(
+        state.ride_start,
+        state.ride_travel,
+        state.ride_last,
+        state.ride_alarm,
+        outcome,
+        look.distance,
+        look.status,
+        origin,
+        model.limits[0],
+        model.config.ride_travel,
+    )
 
 
 def _try_orders(model, state, look, outcome, ring, is_odd):
@@ -616,11 +654,19 @@ def tell_health(model: SelfHitModel, state: SelfHitState) -> SelfHitHealth:
         kind, rings, text = describe_test(model, test)
         for ring in rings:
             lines[ring] = lines[ring] or [f"{kind}: {text}"]
+    rides = state.ride_alarm.reshape(m, n) > 0.0
+    for ring, sensor in np.argwhere(rides).tolist():
+        distance = state.ride_start[n * ring + sensor]
+        lines[ring].append(
+            f"{model.name[ring]} sensor {sensor}: a hit at {distance:.2f} m "
+            "rides with the robot"
+        )
+    fault = np.full((m, n), SensorFault.NONE, dtype=np.uint8)
+    fault[rides] = SensorFault.RIDING_HIT
+    fault[unseen] = SensorFault.UNSEEN_SELF_HIT
     return SelfHitHealth(
         name=model.name,
-        fault=np.where(
-            unseen, SensorFault.UNSEEN_SELF_HIT, SensorFault.NONE
-        ).astype(np.uint8),
+        fault=fault,
         problem=tuple("; ".join(line) for line in lines),
     )
 
@@ -676,7 +722,11 @@ class SelfHitWatch(LeafSystem):
         vector = make_state_vector(model)
         state = view_state(model, vector)
         # They come first.
-        self._alarms = slice(len(state.sensor_alarm) + len(state.misfit_alarm))
+        self._alarms = slice(
+            len(state.sensor_alarm)
+            + len(state.misfit_alarm)
+            + len(state.ride_alarm)
+        )
         self._state = self.DeclareDiscreteState(vector)
         self.DeclareAbstractOutputPort(
             "self_hit_health",

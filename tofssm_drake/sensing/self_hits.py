@@ -13,6 +13,9 @@ A test's sum grows by the logarithm of how much more probable a reading is
 with the fault than without, and never falls below 0. Where that is right, the
 mean number of looks between two false alarms is at least e^threshold (Lorden
 1971).
+
+A third watch, no test of probabilities, is for hits that ride with the robot:
+see `step_rides`.
 """
 
 import dataclasses as dc
@@ -43,6 +46,10 @@ QUIET, MATCH, MISS, ALONE = 0, 1, 2, 3
 """QUIET: nothing. MATCH: the robot or its cell is seen where it is. MISS: it
 is not seen although it must be, or farther than it is. ALONE: something is
 seen where the robot is not; a person may be that."""
+
+RIDE_STEP = 0.001
+"""A sensor has moved when it has moved by this, m (*assumed*: far above what
+the reported joints of a robot that stands make of noise)."""
 
 MISPLACED = "misplaced"
 """A ring is turned, its sensors are numbered otherwise, or it is elsewhere."""
@@ -123,6 +130,12 @@ class SelfHitConfig:
     joint_offset: float = 0.1
     joint_delay: float = 0.05
 
+    # Something is alone at one distance, within the mask's tolerance, while
+    # its sensor travels farther than this: it rides with the robot, m
+    # (*assumed*: nobody keeps a distance to within 30 mm along a metre of the
+    # arm's way; for what a person does see docs/self_hits.md).
+    ride_travel: float = 1.0
+
     # A ring whose best sensor has an expected self-hit in less than this part
     # of the task can not be verified (*assumed*: twice in a cycle of 6.6 s).
     min_share: float = 0.02
@@ -146,6 +159,7 @@ class SelfHitConfig:
             ("tool_shift", 0.0, 1.0),
             ("joint_offset", 0.0, 1.0),
             ("joint_delay", 0.0, 1.0),
+            ("ride_travel", 0.1, 100.0),
             ("min_share", 0.0, 1.0),
         ):
             check_range(where, name, getattr(self, name), low, high)
@@ -273,6 +287,79 @@ def classify_self_hits(
                 outcome[i] = ALONE
         is_odd = is_odd or outcome[i] >= MISS
     return is_odd
+
+
+@njit(cache=True)
+def calc_origins(X_WF, frame_index, X_FS):
+    """Returns where sensors are in the world, m, (n, 3).
+
+    Args:
+        X_WF: poses of frames, (frames, 3, 4).
+        frame_index: which of them carries each sensor, (n,).
+        X_FS: poses of the sensors in their frames, (n, 3, 4).
+    """
+    origin = np.empty((frame_index.shape[0], 3))
+    for i in range(frame_index.shape[0]):
+        X = X_WF[frame_index[i]]
+        for row in range(3):
+            origin[i, row] = X[row, 3]
+            for column in range(3):
+                origin[i, row] += X[row, column] * X_FS[i, column, 3]
+    return origin
+
+
+@njit(cache=True)
+def step_rides(
+    start,
+    travel,
+    last,
+    alarm,
+    outcome,
+    distance,
+    status,
+    origin,
+    tolerance,
+    ride_travel,
+):
+    """Counts a look in the watch for hits that ride with the robot.
+
+    A stretch begins with a reading that is ALONE. It ends with one that is
+    not, or that is at another distance; then the next begins. A sensor
+    without a reading (a sample of another time, a failure) changes nothing,
+    so that no failure ends an alarm.
+
+    Args:
+        start: distance at which the stretch began, m, inf where there is
+            none; changed, (n,).
+        travel: how far the sensor has moved since, m; changed, (n,).
+        last: where it was when that was counted, in world, m; changed,
+            (n, 3).
+        alarm: changed, 0 or 1, (n,).
+        outcome: of `classify_self_hits`, (n,).
+        distance: as measured, m, (n,).
+        status: range status, (n,).
+        origin: where the sensors are, in world, m, (n, 3).
+        tolerance: of a distance, m.
+        ride_travel: an alarm begins beyond this, m.
+    """
+    for i in range(start.shape[0]):
+        if outcome[i] == QUIET and status[i] not in (
+            STATUS_SIGNAL_FAIL,
+            STATUS_OUT_OF_BOUNDS,
+            STATUS_WRAP_AROUND,
+        ):
+            continue
+        if outcome[i] == ALONE and abs(distance[i] - start[i]) <= tolerance:
+            x, y, z = origin[i] - last[i]
+            moved = math.sqrt(x * x + y * y + z * z)
+            if moved >= RIDE_STEP:
+                travel[i] += moved
+                last[i] = origin[i]
+        else:
+            start[i] = distance[i] if outcome[i] == ALONE else np.inf
+            travel[i] = 0.0
+            last[i] = origin[i]
+        alarm[i] = 1.0 if travel[i] > ride_travel else 0.0
 
 
 @njit(cache=True)
