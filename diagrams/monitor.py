@@ -362,7 +362,9 @@ def _add_mask(builder, scenario, scene_graph, plant, kinematics):
                 ring_config=scenario.rings,
                 caster=caster,
                 mounts=mounts,
-            ),
+            )
+            if scenario.self_hits.enabled
+            else None,
             is_dead=find_dead_sensors(scenario),
             bundles=make_mask_bundles(
                 config=scenario.mask,
