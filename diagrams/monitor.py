@@ -269,8 +269,7 @@ def _add_rings(builder, scenario, scene_graph, plant, kinematics):
             period=_calc_look_period(scenario),
         ),
     )
-    for name, port in zip(RINGS, ports, strict=True):
-        builder.ConnectInput(f"scan_{name}", watch.GetInputPort(f"scan_{name}"))
+    for port in ports:
         builder.Connect(port, watch.GetInputPort(port.get_name()))
     builder.Connect(report, watch.GetInputPort("robot_report"))
     stop = builder.AddNamedSystem("self_hit_stop", SelfHitStop())

@@ -166,6 +166,9 @@ class MaskedScan(_Frozen):
     """A scan with what each reading means and where the robot was then."""
 
     scan: RingScan = dc.field(default_factory=RingScan)
+    """As the monitor uses it."""
+    raw: RingScan = dc.field(default_factory=RingScan)
+    """As it came."""
     reading: np.ndarray = dc.field(
         default_factory=lambda: np.empty(0, dtype=np.uint8)
     )

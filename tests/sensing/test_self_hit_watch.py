@@ -473,13 +473,13 @@ class Ride:
             )
             masked = MaskedScan(
                 scan=scan,
+                raw=scan,
                 position=np.tile(self.q, (8, 1)),
                 velocity=np.zeros((8, 6)),
             )
-            for kind, message in (("scan", scan), ("masked_scan", masked)):
-                self.dut.GetInputPort(f"{kind}_{name}").FixValue(
-                    self.context, Value(message)
-                )
+            self.dut.GetInputPort(f"masked_scan_{name}").FixValue(
+                self.context, Value(masked)
+            )
         self.sequence += 1
         self.simulator.AdvanceTo(self.sequence * PERIOD)
 
@@ -507,11 +507,11 @@ class TestSystems(unittest.TestCase):
             )
             masked = MaskedScan(
                 scan=scan,
+                raw=scan,
                 position=np.tile(q, (8, 1)),
                 velocity=np.zeros((8, 6)),
             )
             for name in RINGS:
-                dut.GetInputPort(f"scan_{name}").FixValue(context, Value(scan))
                 dut.GetInputPort(f"masked_scan_{name}").FixValue(
                     context, Value(masked)
                 )

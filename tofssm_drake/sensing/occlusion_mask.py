@@ -782,6 +782,7 @@ def _make_nothing_before(n):
 
 
 def _make_masked_scan(scan, is_held, samples, told, motion, sensors):
+    raw = scan
     distance = samples[_COUNTED, sensors]
     reading = told[_READING, sensors].astype(np.uint8)
     fault = told[_FAULT, sensors].astype(np.uint8)
@@ -806,6 +807,7 @@ def _make_masked_scan(scan, is_held, samples, told, motion, sensors):
         )
     return MaskedScan.of_read_only(
         scan=scan,
+        raw=raw,
         reading=reading,
         fault=fault,
         healthy_time=samples[_HEALTHY_TIME, sensors],

@@ -678,9 +678,6 @@ class SelfHitWatch(LeafSystem):
 
         name: SelfHitWatch
         input_ports:
-        - scan_base
-        - scan_elbow
-        - scan_tool
         - masked_scan_base
         - masked_scan_elbow
         - masked_scan_tool
@@ -690,7 +687,8 @@ class SelfHitWatch(LeafSystem):
 
     Once a period, scans that are new count in all tests (`count_look`). A
     scan that is missed so is no loss: the tests take seconds. The masked
-    scans tell how the robot was at the samples' times. An alarm ends when the
+    scans hold the scans as they came, and how the robot was at the samples'
+    times. An alarm ends when the
     readings have spoken for the model as often as against it.
     """
 
@@ -708,10 +706,6 @@ class SelfHitWatch(LeafSystem):
         require_period(period)
         self._model = model
         self._empty = make_empty_self_hit_health(model.name, model.num_sensors)
-        self._scans = [
-            self.DeclareAbstractInputPort(f"scan_{ring}", Value(RingScan()))
-            for ring in model.name
-        ]
         self._masked_scans = [
             self.DeclareAbstractInputPort(
                 f"masked_scan_{ring}", Value(MaskedScan())
@@ -740,7 +734,8 @@ class SelfHitWatch(LeafSystem):
     def _watch(
         self, context: Context, discrete_state: DiscreteValues
     ) -> EventStatus:
-        scans = [port.Eval(context) for port in self._scans]
+        masked_scans = [port.Eval(context) for port in self._masked_scans]
+        scans = [masked_scan.raw for masked_scan in masked_scans]
         now = context.get_discrete_state(self._state).value()
         before = view_state(self._model, now)
         sequence = [scan.sequence for scan in scans]
@@ -764,16 +759,10 @@ class SelfHitWatch(LeafSystem):
             state.rest[0] += 1.0
             if state.rest[0] % _REST_LOOKS:
                 return EventStatus.Succeeded()
-        masked_scans = [port.Eval(context) for port in self._masked_scans]
         looks = make_looks(
             [
-                # Not the same: a mask that has not yet seen it.
-                scan
-                if was != scan.sequence == masked_scan.scan.sequence
-                else None
-                for scan, was, masked_scan in zip(
-                    scans, last, masked_scans, strict=True
-                )
+                scan if was != scan.sequence else None
+                for scan, was in zip(scans, last, strict=True)
             ],
             masked_scans,
             carried,
