@@ -12,11 +12,18 @@ from tofssm_drake.hardware.ring_link import RingLinkStatus
 from tofssm_drake.hardware.ring_receiver import RingCounts
 from tofssm_drake.hardware.robot_connection import LoopbackConnection
 from tofssm_drake.hardware.slider import SliderPhase, SliderState
-from tofssm_drake.messages import RobotReport, RobotState
+from tofssm_drake.messages import RINGS, RobotReport, RobotState
 import tofssm_drake.scripts.hardware_status as mut
 
 
-def make_result(time, state, *, distance=(np.inf, np.inf, np.inf), **changes):
+def make_result(
+    time,
+    state,
+    *,
+    distance=(np.inf, np.inf, np.inf),
+    sensors=("", "", ""),
+    **changes,
+):
     """What a tick gives, as far as it is told."""
     slider = SliderState(phase=SliderPhase.FOLLOWING, reason="")
     return types.SimpleNamespace(
@@ -28,7 +35,11 @@ def make_result(time, state, *, distance=(np.inf, np.inf, np.inf), **changes):
             "health": state.name.lower(),
             "slider": slider,
             "speed_fraction": 0.25,
-            "separation": types.SimpleNamespace(distance=np.array(distance)),
+            "separation": types.SimpleNamespace(
+                name=RINGS,
+                distance=np.array(distance),
+                problem=sensors,
+            ),
             "products_placed": 3,
         }
         | changes
@@ -86,6 +97,19 @@ class TestStatus(unittest.TestCase):
             "(period 24.0 ms, 2 % lost, 4480 ms old on arrival)",
             line,
         )
+
+    def test_sensors_with_a_problem_are_told(self):
+        line = mut.describe_status(
+            make_result(
+                1.0,
+                RobotState.REDUCED,
+                sensors=("", "", "sensor 3: declared dead"),
+            ),
+            RobotReport(),
+            None,
+            now=1.0,
+        )
+        self.assertIn("tool sensor 3: declared dead", line)
 
     def test_what_matters_fits_into_80_columns(self):
         line = self.describe(width=79, rings=make_rings())
