@@ -5,7 +5,6 @@ machine do not count. All casters take turns, a few states at a time.
 """
 
 import dataclasses as dc
-import gc
 import importlib.util
 import time
 
@@ -110,8 +109,6 @@ def compare(scene: Scene, *, meshes: bool, rounds: int = 4) -> list[Row]:
     differing = [_compare_distances(scene, caster) for caster in casters]
     took = np.empty((len(casters), 2, rounds, NUM_STATES))
     clock = time.thread_time
-    # It would strike one caster for what another one has left.
-    gc.disable()
     for r in range(rounds):
         for start in range(0, NUM_STATES, _BLOCK):
             for c, caster in enumerate(casters):
@@ -122,7 +119,6 @@ def compare(scene: Scene, *, meshes: bool, rounds: int = 4) -> list[Row]:
                     middle = clock()
                     caster.cast(i)
                     took[c, :, r, i] = middle - begin, clock() - begin
-    gc.enable()
     took *= 1e6
     return [
         Row(
