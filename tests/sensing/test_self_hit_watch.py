@@ -533,9 +533,11 @@ class TestSystems(unittest.TestCase):
             rig.health().problem,
             ("", "", "tool sensor 6: a hit at 0.90 m rides with the robot"),
         )
-        # A sample that failed does not end it, an empty room does.
-        rig.look(0.0, status=5)
-        self.assertNotEqual(rig.health().problem[2], "")
+        # A sample that failed does not end it, nor does one that is lost. An
+        # empty room does.
+        for status in (5, 2):
+            rig.look(0.0, status=status)
+            self.assertNotEqual(rig.health().problem[2], "")
         rig.look(0.0, status=2)
         self.assertEqual(rig.health().problem, ("", "", ""))
 

@@ -49,6 +49,7 @@ class Rides:
         self.travel = np.zeros(1)
         self.last = np.zeros((1, 3))
         self.alarm = np.zeros(1)
+        self.unfit = np.zeros(1)
 
     def look(self, x, distance=0.9, outcome=mut.ALONE, status=0):
         """Counts a look at x, m; returns distance, travel and alarm."""
@@ -57,6 +58,7 @@ class Rides:
             self.travel,
             self.last,
             self.alarm,
+            self.unfit,
             np.array([outcome]),
             np.array([distance]),
             np.array([status], dtype=np.uint8),
@@ -85,6 +87,7 @@ class TestRides(unittest.TestCase):
         self.assertEqual(dut.look(1.1), (0.9, 1.1, 1.0))
         # By 31 mm more than at the start, however slowly.
         self.assertEqual(dut.look(1.2, 0.92), (0.9, 1.2, 1.0))
+        self.assertEqual(dut.look(1.3, 0.931), (0.9, 1.2, 1.0))
         self.assertEqual(dut.look(1.3, 0.931), (0.931, 0.0, 0.0))
         self.assertEqual(dut.look(2.4, 0.931), (0.931, 1.1, 1.0))
 
@@ -100,11 +103,20 @@ class TestRides(unittest.TestCase):
             dut = Rides()
             dut.look(0.0)
             dut.look(1.1)
-            self.assertEqual(
-                dut.look(1.2, outcome=outcome, status=status),
-                (INF, 0.0, 0.0),
-            )
+            other = {"outcome": outcome, "status": status}
+            # One may be a lost sample; what fits between two counts anew.
+            for _ in range(3):
+                self.assertEqual(dut.look(1.1, **other), (0.9, 1.1, 1.0))
+                self.assertEqual(dut.look(1.1), (0.9, 1.1, 1.0))
+            dut.look(1.2, **other)
+            self.assertEqual(dut.look(1.2, **other), (INF, 0.0, 0.0))
             self.assertEqual(dut.look(9.0), (0.9, 0.0, 0.0))
+
+    def test_one_look_ends_a_stretch_without_alarm(self):
+        dut = Rides()
+        dut.look(0.0)
+        dut.look(0.9)
+        self.assertEqual(dut.look(0.9, outcome=mut.QUIET, status=2)[1], 0.0)
 
     def test_no_failure_ends_it(self):
         for status in (1, 5, 8, 240, 253, 254, 255):

@@ -213,13 +213,15 @@ class SelfHitState:
     """0 or 1, (b,)."""
     ride_start: np.ndarray
     """Distance at which each sensor's stretch began, m, (N,); inf: none.
-    This and the next three are those of `step_rides`."""
+    This and the next four are those of `step_rides`."""
     ride_travel: np.ndarray
     """How far the sensor has moved since, m, (N,)."""
     ride_last: np.ndarray
     """Where it was when that was counted, in world, m, (N, 3)."""
     ride_alarm: np.ndarray
     """0 or 1, (N,)."""
+    ride_unfit: np.ndarray
+    """Looks in a row that did not fit the alarm, (N,)."""
     expectation: np.ndarray
     """What was expected of each sensor at its last look, (3, N)."""
     position: np.ndarray
@@ -244,6 +246,7 @@ def _lay_out(rings, sensors, tests):
         "ride_start": (sensors,),
         "ride_travel": (sensors,),
         "ride_last": (sensors, 3),
+        "ride_unfit": (sensors,),
         "expectation": (3, sensors),
         "position": (rings, 6),
         "sequence": (rings,),
@@ -498,6 +501,7 @@ def _count_rides(model, state, look, outcome, origin):
         state.ride_travel,
         state.ride_last,
         state.ride_alarm,
+        state.ride_unfit,
         outcome,
         look.distance,
         look.status,

@@ -51,6 +51,10 @@ RIDE_STEP = 0.001
 """A sensor has moved when it has moved by this, m (*assumed*: far above what
 the reported joints of a robot that stands make of noise)."""
 
+RIDE_LOOKS_TO_END = 2
+"""A riding hit's alarm ends after so many looks in a row that do not fit it:
+one lost sample must not end it."""
+
 MISPLACED = "misplaced"
 """A ring is turned, its sensors are numbered otherwise, or it is elsewhere."""
 MODEL = "robot model or joints do not fit"
@@ -314,6 +318,7 @@ def step_rides(
     travel,
     last,
     alarm,
+    unfit,
     outcome,
     distance,
     status,
@@ -324,7 +329,8 @@ def step_rides(
     """Counts a look in the watch for hits that ride with the robot.
 
     A stretch begins with a reading that is ALONE. It ends with one that is
-    not, or that is at another distance; then the next begins. A sensor
+    not, or that is at another distance; then the next begins. Where there is
+    an alarm, that takes `RIDE_LOOKS_TO_END` of them in a row. A sensor
     without a reading (a sample of another time, a failure) changes nothing,
     so that no failure ends an alarm.
 
@@ -335,6 +341,7 @@ def step_rides(
         last: where it was when that was counted, in world, m; changed,
             (n, 3).
         alarm: changed, 0 or 1, (n,).
+        unfit: looks in a row that did not fit the alarm; changed, (n,).
         outcome: of `classify_self_hits`, (n,).
         distance: as measured, m, (n,).
         status: range status, (n,).
@@ -350,12 +357,16 @@ def step_rides(
         ):
             continue
         if outcome[i] == ALONE and abs(distance[i] - start[i]) <= tolerance:
+            unfit[i] = 0.0
             x, y, z = origin[i] - last[i]
             moved = math.sqrt(x * x + y * y + z * z)
             if moved >= RIDE_STEP:
                 travel[i] += moved
                 last[i] = origin[i]
+        elif alarm[i] > 0.0 and unfit[i] + 1.0 < RIDE_LOOKS_TO_END:
+            unfit[i] += 1.0
         else:
+            unfit[i] = 0.0
             start[i] = distance[i] if outcome[i] == ALONE else np.inf
             travel[i] = 0.0
             last[i] = origin[i]
