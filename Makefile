@@ -1,8 +1,9 @@
 # Two commands on a fresh machine with python3 >= 3.11, make and git:
 #   make run     runs the default scenario and says where the report is
 #   make test    checks format and lint, then runs the tests
-# and three more:
+# and some more:
 #   make bench   measures speed
+#   make false-alarms    simulates an hour without a fault and counts alarms
 #   make hardware-demo   runs the hardware's program on a simulated robot
 #   make fault-table     measures how fast each fault stops that robot
 # Another Python, beside the usual one:
@@ -27,7 +28,7 @@ CHECK_DRAKE := @$(BIN)/python -c 'import pydrake.common' 2> /dev/null || \
 	scripts/install_system_packages.sh \
 	  "Drake lacks libraries" libglib2.0-0 libsm6 libx11-6
 
-.PHONY: run hardware-demo fault-table test bench format clean
+.PHONY: run hardware-demo fault-table false-alarms test bench format clean
 
 run: $(VENV)/.installed
 	$(BIN)/tofssm simulate --out $(OUT)
@@ -45,6 +46,9 @@ bench: $(VENV)/.installed-test
 
 fault-table: $(VENV)/.installed-test
 	$(BIN)/python tests/hardware/fault_table.py
+
+false-alarms: $(VENV)/.installed-test
+	$(BIN)/python benchmarks/false_alarms.py
 
 format: $(VENV)/.installed-test
 	$(BIN)/ruff format .

@@ -359,8 +359,11 @@ def hardware(
             scenario,
             end,
             out,
-            scenario_name,
-            run_options["command"],
+            {
+                "scenario_name": scenario_name,
+                "command": run_options["command"],
+                "self_hit_coverage": coverage,
+            },
             is_real=not is_virtual,
         )
     return end.code
@@ -500,14 +503,10 @@ def _describe_slider(robot, dry_run):
     return "slider not seen at 0: its own watchdog must stop the robot"
 
 
-def _write_report(loop, scenario, end, out, name, command, is_real):
+def _write_report(loop, scenario, end, out, metadata, is_real):
     """Writes what a simulation writes: report, summary, samples."""
     samples = loop.workcell.recorder.make_samples(loop.context)
-    samples.metadata |= {
-        "interrupted": end.code != 0,
-        "scenario_name": name,
-        "command": command,
-    }
+    samples.metadata |= {"interrupted": end.code != 0, **metadata}
     summary = summarize(
         scenario,
         samples,

@@ -149,6 +149,7 @@ def simulate(
         "scenario_name": scenario_name,
         "title": title,
         "command": shlex.join(["tofssm", *sys.argv[1:]]),
+        "self_hit_coverage": coverage,
     }
     summary = summarize(scenario, samples, progress)
     with (

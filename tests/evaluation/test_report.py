@@ -107,6 +107,16 @@ class TestReport(unittest.TestCase):
         self.assertIn("not a certified safety function", text)
         self.assertIn("0.12 to 0.22 m shorter", text)
 
+    def test_what_was_not_verified(self):
+        run = make_run(3.0)
+        run.metadata |= {
+            "dead_sensors": {"tool": [3]},
+            "self_hit_coverage": ["base ring cannot be verified by self-hits"],
+        }
+        page = _strip(mut.make_report(run, calc_summary(run)))
+        self.assertIn("Sensors declared dead: tool 3.", page)
+        self.assertIn("base ring cannot be verified by self-hits.", page)
+
     def test_bare_run(self):
         """Without any metadata, person or event there is still a report."""
         run = make_run(2.0, geometry=False)

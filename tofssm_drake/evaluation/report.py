@@ -552,7 +552,8 @@ def make_report(
             `scenario_name`, `title`, `scenario` (text), `ssm`, `human`,
             `products`, `seed`, `sensors_per_ring`, `versions`, `command`,
             `plan`, `ring_geometry`, `robot_bodies`, `person_parts`,
-            `interrupted`, `sensing`, `audit`, `dead_sensors`.
+            `interrupted`, `sensing`, `audit`, `dead_sensors`,
+            `self_hit_coverage`.
         summary: What `calc_summary` returned, with whatever else the run's
             `summary.json` holds (`real_time_factor`).
         recording: Where the replay is, relative to the report; instants are
@@ -581,6 +582,10 @@ def make_report(
                 watcher=figures.get_watcher(samples),
             ),
             *_describe_dead_sensors(metadata.get("dead_sensors", {})),
+            *(
+                ("note", f"{line}.")
+                for line in metadata.get("self_hit_coverage", ())
+            ),
         ],
         sensing=metadata.get("sensing", "tof"),
         audit=make_audit_section(samples) if is_known else None,

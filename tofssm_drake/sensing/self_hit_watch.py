@@ -735,6 +735,11 @@ class SelfHitWatch(LeafSystem):
         if model.config.enabled:
             self.DeclarePeriodicDiscreteUpdateEvent(period, 0.0, self._watch)
 
+    @property
+    def model(self) -> SelfHitModel:
+        """What the rings are compared with."""
+        return self._model
+
     def _watch(
         self, context: Context, discrete_state: DiscreteValues
     ) -> EventStatus:
