@@ -21,7 +21,7 @@ _BLOCK = 16
 
 
 class FastPath:
-    """This project's caster with the poses as the closed loop has them."""
+    """This project's caster with poses as the monitor's twin has them."""
 
     name = "RayCaster, known poses"
 

@@ -157,7 +157,7 @@ class Scene:
         )
 
     def calc_poses(self, i: int) -> np.ndarray:
-        """Returns all frames' poses as the closed loop does."""
+        """Returns all frames' poses as the twin does."""
         state = self.states[i]
         X_WF = np.empty((self._num_others + len(state.ends), 3, 4))
         self._twin_poses.calc(

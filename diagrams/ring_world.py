@@ -31,7 +31,6 @@ from tofssm_drake.robot.twin import make_cell_plant
 from tofssm_drake.sensing.lidar_2d import Lidar2d
 from tofssm_drake.sensing.lidar_mount import make_base_lidar_bundle
 from tofssm_drake.sensing.ring_mount import find_ring_mount
-from tofssm_drake.sensing.scene_poses import ScenePoses
 from tofssm_drake.sensing.tof_rings import TofRings, make_ring_bundles
 from tofssm_drake.sensing.vl53l1x import SensorErrors, draw_sensor_errors
 
@@ -112,22 +111,11 @@ def add_ring_world(
         sensors = [_add_lidar(builder, scenario, scene_graph, plant, caster)]
     else:
         sensors = []
-    if sensors:
-        poses = builder.AddNamedSystem(
-            "scene_poses",
-            ScenePoses(
-                caster=caster,
-                plant=plant,
-                layout=layout,
-                human_frame_ids=[] if avatar is None else avatar.frame_ids,
-            ),
+    for sensor in sensors:
+        builder.Connect(
+            scene_graph.get_query_output_port(),
+            sensor.GetInputPort("geometry_query"),
         )
-        for name, port in (report | {"skeleton": skeleton}).items():
-            builder.Connect(port, poses.GetInputPort(name))
-        for sensor in sensors:
-            builder.Connect(
-                poses.get_output_port(), sensor.GetInputPort("frame_poses")
-            )
     return RingWorld(
         plant=plant, scene_graph=scene_graph, avatar=avatar, skeleton=skeleton
     )

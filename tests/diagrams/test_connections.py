@@ -155,7 +155,7 @@ class TestConnections(unittest.TestCase):
         reached = find_reached(connections, "human")
         self.assertEqual(
             reached,
-            {"scene_poses", "scene_graph", "rings_" + "_".join(RINGS)},
+            {"scene_graph", "rings_" + "_".join(RINGS)},
         )
 
     def test_monitor_has_a_model_of_its_own(self):

@@ -88,7 +88,7 @@ class TestPorts:
     def test_the_person_is_seen_by_the_lidar_alone(self):
         station = make("lidar")[1].station.diagram
         reached = find_reached(find_connections(station), "human")
-        assert reached == {"scene_poses", "scene_graph", "lidar"}
+        assert reached == {"scene_graph", "lidar"}
 
     def test_ideal_sensing_has_to_know_the_person(self):
         with pytest.raises(ValueError, match="person_radii"):

@@ -47,12 +47,6 @@ class Cart(LeafSystem):
             self.calc_pose,
             prerequisites_of_calc={self.time_ticket()},
         )
-        self.DeclareAbstractOutputPort(
-            "frame_poses",
-            Value(np.zeros((2, 3, 4))).Clone,
-            self.calc_frame_poses,
-            prerequisites_of_calc={self.time_ticket()},
-        )
 
     @staticmethod
     def calc_X_WC(time):
@@ -63,10 +57,6 @@ class Cart(LeafSystem):
         poses.set_value(self.frame_id, self.calc_X_WC(context.get_time()))
         output.set_value(poses)
 
-    def calc_frame_poses(self, context, output):
-        X_WC = self.calc_X_WC(context.get_time()).GetAsMatrix34()
-        output.set_value(np.array([np.eye(3, 4), X_WC]))
-
 
 def make_scene(
     config,
@@ -75,7 +65,6 @@ def make_scene(
     on_cart=False,
     X_FS=None,
     excluded=(),
-    fast=False,
     noise=None,
 ):
     """A lidar in the world or on a cart, shapes in the world or on it.
@@ -83,7 +72,6 @@ def make_scene(
     Args:
         shapes: {name: (shape, pose)}; a name that starts with "cart" rides.
         excluded: names that the lidar does not see.
-        fast: Whether poses come as an array instead of a QueryObject.
     """
     builder = DiagramBuilder()
     scene_graph = builder.AddSystem(SceneGraph())
@@ -113,20 +101,10 @@ def make_scene(
     lidar = builder.AddNamedSystem(
         "lidar", mut.Lidar2d(config=config, caster=caster, bundle=bundle)
     )
-    if fast:
-        assert caster.frame_ids == [
-            scene_graph.world_frame_id(),
-            cart.frame_id,
-        ]
-        builder.Connect(
-            cart.GetOutputPort("frame_poses"),
-            lidar.GetInputPort("frame_poses"),
-        )
-    else:
-        builder.Connect(
-            scene_graph.get_query_output_port(),
-            lidar.GetInputPort("geometry_query"),
-        )
+    builder.Connect(
+        scene_graph.get_query_output_port(),
+        lidar.GetInputPort("geometry_query"),
+    )
     if noise is not None:
         source = builder.AddSystem(
             ConstantVectorSource(np.broadcast_to(noise, len(lidar.angles)))
@@ -349,28 +327,6 @@ class TestLidar2d(unittest.TestCase):
             self.assertEqual(np.isinf(scan.ranges).sum(), 3)
         within = run_until(make_scene(config, shapes, on_cart=True), [0.07])[0]
         np.testing.assert_array_equal(within.ranges, 0.0)
-
-    def test_array_of_poses_is_as_good_as_a_query_object(self):
-        config = mut.Lidar2dConfig(angle_step_deg=2.0)
-        shapes = {
-            "wall": (Box(1.0, 9.0, 9.0), RigidTransform([3.5, 0.0, 0.0])),
-            "cart_leg": (Cylinder(LEG, 1.0), RigidTransform([0.5, 0.3, 0.0])),
-        }
-        noise = np.random.default_rng(0).standard_normal(180)
-        slow, fast = (
-            run_until(
-                make_scene(config, shapes, fast=fast, noise=noise),
-                [0.07, 0.11],
-            )
-            for fast in (False, True)
-        )
-        for one, other in zip(slow, fast, strict=True):
-            self.assertEqual(one.sequence, other.sequence)
-            self.assertEqual(one.time, other.time)
-            np.testing.assert_allclose(
-                one.ranges, other.ranges, rtol=0, atol=1e-12
-            )
-        self.assertFalse(np.array_equal(slow[0].ranges, slow[1].ranges))
 
     def test_when_a_scan_is_there(self):
         scans = run_until(

@@ -136,14 +136,18 @@ def make_ideal(**settings):
 class Counter(LeafSystem):
     """A frame that moves by 0.1 mm along x at each of its steps."""
 
-    def __init__(self, period):
+    def __init__(self, scene_graph, period):
         super().__init__()
+        self.source_id = scene_graph.RegisterSource("counter")
+        self.frame_id = scene_graph.RegisterFrame(
+            self.source_id, GeometryFrame("counter")
+        )
         self.DeclareDiscreteState(1)
         self.DeclarePeriodicDiscreteUpdateEvent(period, 0.0, self.update)
         self.DeclareAbstractOutputPort(
-            "frame_poses",
-            Value(np.zeros((1, 3, 4))).Clone,
-            self.calc_frame_poses,
+            "pose",
+            Value(FramePoseVector()).Clone,
+            self.calc_pose,
             prerequisites_of_calc={self.xd_ticket()},
         )
 
@@ -151,19 +155,24 @@ class Counter(LeafSystem):
         count = context.get_discrete_state_vector()[0]
         discrete_state.set_value([count + 1.0])
 
-    def calc_frame_poses(self, context, output):
-        X_WF = np.eye(3, 4)[None].copy()
-        X_WF[0, 0, 3] = 1e-4 * context.get_discrete_state_vector()[0]
-        output.set_value(X_WF)
+    def calc_pose(self, context, output):
+        poses = FramePoseVector()
+        x = 1e-4 * context.get_discrete_state_vector()[0]
+        poses.set_value(self.frame_id, RigidTransform([x, 0.0, 0.0]))
+        output.set_value(poses)
 
 
 class XCaster:
-    """A caster whose one ray is as long as the one frame's x."""
+    """A caster whose one ray is as long as its frame's x."""
 
-    frame_ids = (None,)
+    def __init__(self, frame_id=None):
+        self.frame_id = frame_id
+
+    def poses_from_query_object(self, query_object):
+        return query_object.GetPoseInWorld(self.frame_id).GetAsMatrix34()
 
     def cast_bundles(self, bundles, X_WF):
-        return X_WF[:1, 0, 3:4].copy(), None
+        return X_WF[:1, 3:4].copy(), None
 
 
 class TestConfig(unittest.TestCase):
@@ -258,19 +267,24 @@ class TestTofRings(unittest.TestCase):
     def test_sample_at_a_plant_step_shows_the_world_before_it(self):
         """Rounding must not decide: 0.008 + 6 * 0.024 > 19 * 0.008."""
         builder = DiagramBuilder()
-        counter = builder.AddSystem(Counter(0.008))
+        scene_graph = builder.AddSystem(SceneGraph())
+        counter = builder.AddSystem(Counter(scene_graph, 0.008))
+        builder.Connect(
+            counter.get_output_port(),
+            scene_graph.get_source_pose_port(counter.source_id),
+        )
         sampler = builder.AddSystem(
             mut.TofRings(
                 config=make_ideal(),
-                caster=XCaster(),
+                caster=XCaster(counter.frame_id),
                 bundles=SimpleNamespace(num_bundles=1),
                 phase=0.008,
                 name=("base",),
             )
         )
         builder.Connect(
-            counter.GetOutputPort("frame_poses"),
-            sampler.GetInputPort("frame_poses"),
+            scene_graph.get_query_output_port(),
+            sampler.GetInputPort("geometry_query"),
         )
         builder.ExportOutput(sampler.GetOutputPort("scan_base"), "scan")
         for i, scan in enumerate(
@@ -417,7 +431,7 @@ class TestTofRings(unittest.TestCase):
                 dut.get_input_port(i).get_name()
                 for i in range(dut.num_input_ports())
             ],
-            ["geometry_query", "frame_poses", "noise"],
+            ["geometry_query", "noise"],
         )
         self.assertEqual(
             [

@@ -6,7 +6,6 @@ own copy, the twin, and poses it from measured joints at each sensor's own
 sample time. `TwinPoses` does that without a plant context.
 """
 
-from collections.abc import Sequence
 import dataclasses as dc
 import functools
 
@@ -159,7 +158,7 @@ _KIND = 12
 
 @njit(cache=True)
 def calc_twin_poses(
-    robot, slots, frames, rows, q, gripper_closed, products_placed, X_WF
+    robot, slots, frames, q, gripper_closed, products_placed, X_WF
 ):
     """Poses of frames that stand still, ride on the robot or are products.
 
@@ -175,11 +174,10 @@ def calc_twin_poses(
         frames: Of each frame its pose in world, in its link, or in its
             product, row by row, and its kind: -1 stands still, 0 to n rides
             on that link, n + 1 + i is product i; (f, 13).
-        rows: Where each frame is written, (f,).
         q: Joint angles, rad, (n,).
         gripper_closed: More than 0.5 is closed.
         products_placed: How many products are in the box.
-        X_WF: Written in `rows`, (., 3, 4).
+        X_WF: Changed, (f, 3, 4).
     """
     n = q.shape[0]
     X_WA = np.empty((n + 1, 3, 4))
@@ -193,7 +191,7 @@ def calc_twin_poses(
     for f in range(frames.shape[0]):
         kind = int(frames[f, _KIND])
         X_AF = frames[f]
-        X_WF_f = X_WF[rows[f]]
+        X_WF_f = X_WF[f]
         if kind < 0:
             for i in range(3):
                 for j in range(4):
@@ -230,7 +228,6 @@ class TwinPoses:
     """As in `calc_twin_poses`, like the next three."""
     slots: np.ndarray
     frames: np.ndarray
-    rows: np.ndarray
 
     @staticmethod
     def from_plant(
@@ -239,7 +236,6 @@ class TwinPoses:
         layout: ProductLayout,
         frame_ids: list | None = None,
         frames: list | None = None,
-        rows: Sequence[int] | None = None,
         kinematics: RingKinematics | None = None,
     ) -> "TwinPoses":
         """Reads once what is fixed.
@@ -250,7 +246,6 @@ class TwinPoses:
             frame_ids: SceneGraph frames to pose, e.g. a ray caster's; their
                 plant must be registered with that SceneGraph.
             frames: Or plant frames to pose.
-            rows: Where to write each frame's pose; None: one after another.
             kinematics: Of the plant's robot, if at hand.
 
         Raises:
@@ -323,7 +318,6 @@ class TwinPoses:
             frames=np.column_stack(
                 [np.array(X_AF).reshape(-1, 12), np.array(kinds, dtype=float)]
             ),
-            rows=np.arange(len(kinds)) if rows is None else np.array(rows, int),
         )
 
     def calc(
@@ -347,7 +341,6 @@ class TwinPoses:
             self.robot,
             self.slots,
             self.frames,
-            self.rows,
             q,
             float(gripper_closed),
             float(products_placed),

@@ -159,7 +159,6 @@ class Lidar2d(LeafSystem):
         name: Lidar2d
         input_ports:
         - geometry_query
-        - frame_poses
         - noise
         output_ports:
         - scan
@@ -168,11 +167,6 @@ class Lidar2d(LeafSystem):
     stands for the middle of the scanner's turn and is the scan's `time`. The
     `LidarScan` appears on the port a latency later; before the first one the
     port holds an empty scan (sequence -1).
-
-    Where things are comes from one of two ports. `geometry_query` serves any
-    Diagram with a SceneGraph; `frame_poses`, X_WF of `caster.frame_ids`,
-    (f, 3, 4), is used instead where it is connected, and is much faster for
-    who has all poses at hand (see ScenePoses).
 
     The port `noise` takes n standard normal numbers, which have to change at
     least once a period. It may be left unconnected if `noise_sigma` is 0.
@@ -224,9 +218,6 @@ class Lidar2d(LeafSystem):
         self._geometry_query = self.DeclareAbstractInputPort(
             "geometry_query", Value(QueryObject())
         )
-        self._frame_poses = self.DeclareAbstractInputPort(
-            "frame_poses", Value(np.zeros((len(caster.frame_ids), 3, 4)))
-        )
         self._noise = self.DeclareVectorInputPort(
             "noise", len(angles), RandomDistribution.kGaussian
         )
@@ -258,12 +249,9 @@ class Lidar2d(LeafSystem):
         return EventStatus.Succeeded()
 
     def _measure(self, context: Context, sequence: int) -> LidarScan:
-        if self._frame_poses.HasValue(context):
-            X_WF = self._frame_poses.Eval(context)
-        else:
-            X_WF = self._caster.poses_from_query_object(
-                self._geometry_query.Eval(context)
-            )
+        X_WF = self._caster.poses_from_query_object(
+            self._geometry_query.Eval(context)
+        )
         distance, _ = self._caster.cast_bundles(self._bundle, X_WF)
         noise = self._no_noise
         if noise is None:

@@ -119,7 +119,6 @@ class TofRings(LeafSystem):
         name: TofRings
         input_ports:
         - geometry_query
-        - frame_poses
         - noise
         output_ports:
         - scan_base
@@ -132,11 +131,6 @@ class TofRings(LeafSystem):
     on the ports a latency later (half the timing budget and the readout). The
     latency may exceed the period: scans under way wait in a queue. Rings that
     sample at other times are another system; one ring alone is fine.
-
-    Where things are comes from one of two ports. `geometry_query` serves any
-    Diagram with a SceneGraph; `frame_poses`, X_WF of `caster.frame_ids`,
-    (f, 3, 4), is used instead where it is connected, and is much faster for
-    who has all poses at hand (see ScenePoses).
 
     A port holds an empty scan (sequence -1) before the first one.
 
@@ -210,9 +204,6 @@ class TofRings(LeafSystem):
         self._geometry_query = self.DeclareAbstractInputPort(
             "geometry_query", Value(QueryObject())
         )
-        self._frame_poses = self.DeclareAbstractInputPort(
-            "frame_poses", Value(np.zeros((len(caster.frame_ids), 3, 4)))
-        )
         self._noise = self.DeclareVectorInputPort(
             "noise",
             noise_scans * num_sensors * NOISE_DRAWS,
@@ -265,12 +256,9 @@ class TofRings(LeafSystem):
         return EventStatus.Succeeded()
 
     def _measure(self, context: Context, sequence: int) -> tuple[RingScan, ...]:
-        if self._frame_poses.HasValue(context):
-            X_WF = self._frame_poses.Eval(context)
-        else:
-            X_WF = self._caster.poses_from_query_object(
-                self._geometry_query.Eval(context)
-            )
+        X_WF = self._caster.poses_from_query_object(
+            self._geometry_query.Eval(context)
+        )
         ray_distance, _ = self._caster.cast_bundles(self._bundles, X_WF)
         noise = self._no_noise
         if noise is None:
