@@ -1,9 +1,9 @@
 """When to write the robot's speed slider, and whether it obeys.
 
-The slider is a wish, not a fact: a write may be lost, a person may move the
+Writing the slider is a request: a write may be lost, a person may move the
 slider, a pause may reset it. So each report's echo, `target_speed_fraction`,
 is compared with what was written, and the arm's speed with what the echo allows
-(`arm_obedience.py`). One pure function, `step_slider`, does it all, once per
+(`arm_obedience.py`). One pure function, `step_slider`, does this for each
 report.
 """
 
@@ -23,19 +23,19 @@ from tofssm_drake.hardware.rtde_fields import (
 )
 from tofssm_drake.messages import RobotReport, SliderCommand
 
-# After a gap between reports the fraction rises as if it was only that, s.
+# A longer gap between reports counts as this long, s.
 _LONGEST_STEP = 0.05
-# An echo of what was written that long ago is a late one, and nobody's hand, s.
+# An echo may still show what was replaced this long ago, s.
 _LATE = 0.25
-# A robot whose joints are not faster stands still, rad/s; and the fastest
-# joint of all, which at the lowest fraction may creep on.
+# A robot whose joints are all slower stands still, rad/s; and the speed of the
+# fastest joint, which may creep on at the lowest fraction.
 _STANDING = 0.01
 _FASTEST = 3.2
-# An echo that is not above it is 0.
+# An echo up to this counts as 0.
 _ZERO = 0.005
 # Safety status bits with which a robot may move.
 _MOVING = SafetyStatusBit.NORMAL | SafetyStatusBit.REDUCED
-# A protective stop that soon after the slider left 0 came of that, s.
+# A protective stop within this time was caused by the slider leaving 0, s.
 _OFFENCE = 1.0
 
 
@@ -43,34 +43,33 @@ _OFFENCE = 1.0
 class SliderConfig:
     """How the speed slider is used."""
 
-    # The echo must follow a write within that many reports, one per control
-    # cycle; else it is written once more, and if that does not help either it
-    # is a fault.
+    # The echo must follow a write within this many reports, one per control
+    # cycle. If not, the value is written once more; if that does not help
+    # either, it is a fault.
     confirm_cycles: int = 5
 
-    # Echo and wish may differ by that much (assumed: how a controller rounds
-    # is not published).
+    # Echo and written value may differ by this much (assumed: how a controller
+    # rounds is not published).
     tolerance: float = 0.01
 
     # The slider is never set lower, except in a fault. 0 stops the robot.
-    # Some robots were reported to answer the step from 0 upwards with a
-    # protective stop; for them a value such as 0.01 lets the robot creep
-    # instead of stopping, and what then really stops it must be another.
+    # Some robots are reported to answer the step from 0 upwards with a
+    # protective stop. For them a value such as 0.01 lets the robot creep
+    # instead of stopping; something else must then really stop it.
     minimum_fraction: float = 0.0
 
     # After a pause, a stop, a fault or a new connection the fraction may grow
-    # no faster than that, 1/s.
+    # no faster than this, 1/s.
     rise_rate: float = 2.0
 
-    # The way back to speed leads through that fraction, the safety law's of
-    # the reduced state: the slider must have stood there for that long, s,
-    # with all being well (assumed: five times as long as a sample of a ring
-    # may be old).
+    # The way back to full speed leads through the safety law's fraction of the
+    # reduced state: the slider must have been there for this long, s, without
+    # a problem (assumed: five times the greatest age of a ring's sample).
     reduced_fraction: float = 0.5
     recovery_time: float = 0.5
 
     # If a fault ends before the law has slowed the robot down that far, the
-    # slider does so at that rate, 1/s (the law's own).
+    # slider goes down at this rate, 1/s (the law's own).
     fall_rate: float = 10.0 / 3.0
 
     # What happens if someone sets the slider lower than wanted: True leaves
@@ -86,8 +85,8 @@ class SliderConfig:
     # How fast the arm must follow the slider.
     arm: ArmConfig = dc.field(default_factory=ArmConfig)
 
-    # Greatest speed of each joint, rad/s: who makes the system puts the robot
-    # model's here. These are a UR10's (Universal Robots' user manual).
+    # Greatest speed of each joint, rad/s, from the robot model. These are a
+    # UR10's (Universal Robots' user manual).
     joint_speeds: tuple[float, ...] = (2.0944, 2.0944, *4 * (3.1416,))
 
     def check(self, where: str) -> None:
@@ -133,14 +132,14 @@ class SliderConfig:
 
 
 class SliderPhase(enum.IntEnum):
-    """What the slider is up to."""
+    """What is happening to the slider."""
 
     WAITING = 0
-    """No report yet, or robot and slider were not yet seen at rest."""
+    """No report yet, or robot and slider have not been seen at rest yet."""
     FOLLOWING = 1
     """The echo is what was written."""
     RISING = 2
-    """So it is, but the fraction may grow only slowly for now."""
+    """The echo follows, but the fraction may only grow slowly for now."""
     YIELDING = 3
     """Someone has set it lower, and that holds."""
     HOLDING = 4
@@ -148,7 +147,7 @@ class SliderPhase(enum.IntEnum):
     FAULT = 5
     """Echo or arm does not follow: 0 is written, the heartbeat stops."""
     RECOVERING = 6
-    """Something was wrong, or is: no more than the reduced fraction."""
+    """Something is or was wrong: no more than the reduced fraction."""
 
 
 @dc.dataclass(frozen=True, eq=False, kw_only=True)
@@ -171,22 +170,21 @@ class SliderState:
     fraction: float = math.nan
     """Where it was last set or left; NaN: not yet in this session."""
     replaced: tuple[tuple[float, int, float], ...] = ()
-    """(fraction, `count` and `timestamp` when another took its place) of
-    late."""
+    """Fractions replaced lately, with `count` and `timestamp` of that."""
     confirmed: bool = False
-    """The echo was `fraction` at least once since a start or a fault, while
-    the robot stood still."""
+    """Since the start or the last fault the echo has been `fraction` at least
+    once while the robot stood still."""
     obeyed: int = 0
-    """For how many reports in a row it is so by now."""
+    """For how many reports in a row the echo has been `fraction`."""
     deadline: float = math.inf
-    """`count` by which setting it once more must have helped."""
+    """`count` by which setting it again must have helped."""
     operator_fraction: float = math.nan
-    """What a person at the slider allows, also in the sessions to come; NaN:
-    nothing was seen yet."""
+    """What a person at the slider allows, in later sessions too; NaN: nothing
+    seen yet."""
     ceiling: float = 0.0
     """What is allowed after a hold or a fault, growing; inf: no limit."""
     healthy: float = 0.0
-    """For how long all was well at the reduced fraction, since `cause`, s."""
+    """How long the slider was at the reduced fraction without a problem, s."""
     cause: str = ""
     """What was wrong last."""
     left_zero: float = -math.inf
@@ -206,7 +204,7 @@ def find_hold(report: RobotReport) -> str:
         # Older software has no safety status: -1.
         if mode not in (SafetyMode.NORMAL, SafetyMode.REDUCED, -1):
             return f"safety mode: {name_of(SafetyMode, mode)}"
-    # What contradicts the mode counts as well; 0 is of those that say nothing.
+    # Bits that contradict the mode count as well; 0 says nothing.
     bits = report.safety_status_bits
     if bits > 0 and bits & ~_MOVING:
         return f"safety status bits: {bits:#x}"
@@ -226,20 +224,20 @@ def step_slider(
 ) -> SliderState:
     """Takes one report and says what to send in answer.
 
-    The mask of the command is 1 only where the slider must be set: when the
+    The mask of the command is 1 only if the slider must be set: when the
     wanted fraction changed or the echo is astray. Otherwise a person could
     not move it.
 
-    Whatever was wrong, with the robot or with what the monitor knows, the
-    fraction grows again only through `reduced_fraction`. A problem of the
-    monitor's does not stop the robot here: the safety law does.
+    After any problem with the robot or with the monitor's data, the fraction
+    grows again only through `reduced_fraction`. A problem with the monitor's
+    data does not stop the robot here: the safety law does.
 
     Args:
         config: Settings.
         state: After the report before.
         report: The newest; if it is not new, nothing changes.
-        wanted: Speed fraction of the safety law; not a number counts as 0.
-        problem: Why the monitor's data are not fresh and healthy; empty: they
+        wanted: Speed fraction of the safety law; NaN counts as 0.
+        problem: Why the monitor's data are not fresh and healthy; "" if they
             are.
 
     Returns:
@@ -247,121 +245,195 @@ def step_slider(
     """
     if report.sequence < 0 or report.sequence == state.command.sequence:
         return state
-    echo = report.target_speed_fraction
-    if not -config.tolerance <= echo <= 1.0 + config.tolerance:
-        # No slider stands there, and nobody's hand has put it there.
-        echo = math.nan
+    echo = _read_echo(config, report)
     if report.session != state.session or state.count == 0:
-        # The new session knows nothing of what was written in the old one.
-        state = SliderState(
-            command=state.command,
-            count=state.count,
-            ceiling=config.minimum_fraction,
-            cause="new session with the robot",
-            operator_fraction=_carry_operator(config, state, echo),
-        )
-    # Reports are counted, not time: a computer that was late has neither
-    # written nor looked in the meantime.
-    now = state.count + 1
-    wanted = min(wanted, 1.0) if wanted > 0.0 else 0.0
-    hold = find_hold(report)
-    was_fault = state.phase == SliderPhase.FAULT
-    fresh = math.isnan(state.fraction)
-    arm = _watch_arm(config, state, report, echo, hold)
-
-    replaced = tuple(
-        p for p in state.replaced if report.timestamp - p[2] <= _LATE
+        state = _begin_session(config, state, echo)
+    now = _Now(
+        report=report,
+        echo=echo,
+        count=state.count + 1,
+        wanted=min(wanted, 1.0) if wanted > 0.0 else 0.0,
+        hold=find_hold(report),
+        problem=problem,
     )
-    # Comparisons with an echo that is not a number are all false.
-    obeys = abs(echo - state.fraction) <= config.tolerance
-    recent = [f for f, n, _ in replaced if now - n <= config.confirm_cycles]
-    astray = not fresh and not _is_within(
+    seen = _compare_echo(config, state, now)
+    arm = _watch_arm(config, state, now)
+    choice = _choose(config, state, now, seen, is_arm_faulty=bool(arm.problem))
+    return _make_next_state(config, state, now, seen, arm, choice)
+
+
+@dc.dataclass(frozen=True, eq=False, kw_only=True)
+class _Now:
+    """One report and what else is known at its time."""
+
+    report: RobotReport
+    echo: float
+    """Where the slider is; NaN: the report's value is impossible."""
+    count: int
+    """Number of this report. Reports are counted, not time: a computer that
+    was late neither wrote nor looked in the meantime."""
+    wanted: float
+    hold: str
+    problem: str
+
+
+@dc.dataclass(frozen=True, kw_only=True)
+class _Seen:
+    """How the echo compares with what was written."""
+
+    replaced: tuple[tuple[float, int, float], ...]
+    """See `SliderState`, without what is too old."""
+    obeys: bool
+    """The echo is what was last written."""
+    astray: bool
+    """It is neither that nor what was written just before."""
+    moved: bool
+    """It went where nothing that was written explains it: a person."""
+
+
+@dc.dataclass(frozen=True, kw_only=True)
+class _Choice:
+    """What to do with the slider; the names are those of `SliderState`."""
+
+    target: float
+    set_it: bool
+    fault: bool
+    astray: bool
+    confirmed: bool
+    obeyed: int
+    deadline: float
+    operator: float
+    ceiling: float
+    healthy: float
+
+
+def _read_echo(config, report):
+    """Returns where the slider is; NaN if no slider can be there."""
+    echo = report.target_speed_fraction
+    if -config.tolerance <= echo <= 1.0 + config.tolerance:
+        return echo
+    return math.nan
+
+
+def _begin_session(config, state, echo):
+    """Returns the state for a session that knows nothing of the old one."""
+    return SliderState(
+        command=state.command,
+        count=state.count,
+        ceiling=config.minimum_fraction,
+        cause="new session with the robot",
+        operator_fraction=_carry_operator(config, state, echo),
+    )
+
+
+def _compare_echo(config, state, now):
+    """Compares the echo with what was written."""
+    echo = now.echo
+    replaced = tuple(
+        p for p in state.replaced if now.report.timestamp - p[2] <= _LATE
+    )
+    recent = [
+        f for f, n, _ in replaced if now.count - n <= config.confirm_cycles
+    ]
+    # Comparisons with NaN are all false.
+    astray = not math.isnan(state.fraction) and not _is_within(
         echo, (state.fraction, *recent), config.tolerance
     )
-    moved = (
-        astray
+    late = (state.fraction, *(f for f, *_ in replaced))
+    return _Seen(
+        replaced=replaced,
+        obeys=abs(echo - state.fraction) <= config.tolerance,
+        astray=astray,
+        moved=astray
         and abs(echo - state.echo) > config.tolerance
-        and not _is_within(
-            echo, (state.fraction, *(f for f, *_ in replaced)), config.tolerance
-        )
+        and not _is_within(echo, late, config.tolerance),
     )
-    obeyed = state.obeyed + 1 if obeys else 0
-    confirmed = state.confirmed or (obeys and _is_standing(config, report))
+
+
+def _choose(config, state, now, seen, *, is_arm_faulty):
+    """Decides where the slider goes, and whether it obeys."""
+    was_fault = state.phase == SliderPhase.FAULT
+    obeyed = state.obeyed + 1 if seen.obeys else 0
+    confirmed = state.confirmed or (
+        seen.obeys and _is_standing(config, now.report)
+    )
     operator = state.operator_fraction
-    if moved and config.yield_to_operator and not was_fault:
-        operator = min(max(echo, 0.0), 1.0)
-
+    if seen.moved and config.yield_to_operator and not was_fault:
+        operator = min(max(now.echo, 0.0), 1.0)
     ceiling, healthy = _calc_ceiling(
-        config,
-        state,
-        echo=echo,
-        elapsed=min(report.timestamp - state.timestamp, _LONGEST_STEP),
-        is_down=bool(hold) or not confirmed,
-        is_well=not problem,
+        config, state, now, is_down=bool(now.hold) or not confirmed
     )
-    target = max(min(wanted, ceiling), config.minimum_fraction)
+    target = max(min(now.wanted, ceiling), config.minimum_fraction)
     target = min(target, operator)
-
-    # Whoever left the slider where it may be needs no correction.
-    astray = astray and not (moved and target == echo)
-    deadline = state.deadline if astray else math.inf
-    if astray and deadline == math.inf:
-        deadline = now + config.confirm_cycles
+    # A person left the slider where it is allowed: nothing to correct.
+    kept = seen.moved and target == now.echo
+    astray = seen.astray and not kept
+    deadline = _find_deadline(config, state, now, astray)
     if was_fault:
         fault = obeyed < config.confirm_cycles
     else:
-        fault = now > deadline or math.isnan(echo)
-    fault = fault or bool(arm.problem)
+        fault = now.count > deadline or math.isnan(now.echo)
+    fault = fault or is_arm_faulty
     if fault:
         target, ceiling, deadline = 0.0, config.minimum_fraction, math.inf
         healthy = 0.0
         confirmed = was_fault and confirmed
-    if was_fault != fault:
-        obeyed = 0
-    set_it = fault or fresh or astray or target != state.fraction
-    if moved and target == echo:
-        set_it = fault
-    if target != state.fraction and not fresh:
-        replaced = (*replaced, (state.fraction, now, report.timestamp))
-    cause = hold or problem or state.cause
-    if fault:
+    return _Choice(
+        target=target,
+        # In the first report of a session `fraction` is NaN.
+        set_it=fault or (not kept and (astray or target != state.fraction)),
+        fault=fault,
+        astray=astray,
+        confirmed=confirmed,
+        obeyed=obeyed if was_fault == fault else 0,
+        deadline=deadline,
+        operator=operator,
+        ceiling=ceiling,
+        healthy=healthy,
+    )
+
+
+def _find_deadline(config, state, now, astray):
+    """Returns the `count` by which setting it again must have helped."""
+    if not astray:
+        return math.inf
+    if state.deadline == math.inf:
+        return now.count + config.confirm_cycles
+    return state.deadline
+
+
+def _make_next_state(config, state, now, seen, arm, choice):
+    """Returns what is remembered, with the command in it."""
+    report, target = now.report, choice.target
+    replaced = seen.replaced
+    if target != state.fraction and not math.isnan(state.fraction):
+        replaced = (*replaced, (state.fraction, now.count, report.timestamp))
+    cause = now.hold or now.problem or state.cause
+    if choice.fault:
         cause = "arm did not slow" if arm.problem else "slider did not obey"
-    recovering = problem or (target < wanted and healthy < config.recovery_time)
+    phase, reason = _describe(config, state, now, choice, arm.problem, cause)
     return SliderState(
-        **_describe(
-            state,
-            report,
-            wanted=wanted,
-            target=target,
-            hold=hold,
-            fault=fault,
-            arm_problem=arm.problem,
-            astray=astray,
-            confirmed=confirmed,
-            operator=operator,
-            recovering=f"slider at most {config.reduced_fraction:.2f} for "
-            f"now{': ' if problem else ', after: '}{cause}"
-            if recovering
-            else "",
-        ),
+        phase=phase,
+        reason=reason,
         command=SliderCommand(
             sequence=report.sequence,
-            mask=int(set_it),
+            mask=int(choice.set_it),
             speed_fraction=target,
-            heartbeat=(state.command.heartbeat + (not fault)) & 0x7FFFFFFF,
+            heartbeat=(state.command.heartbeat + (not choice.fault))
+            & 0x7FFFFFFF,
         ),
         session=report.session,
         timestamp=report.timestamp,
-        count=now,
-        echo=echo,
+        count=now.count,
+        echo=now.echo,
         fraction=target,
         replaced=replaced,
-        confirmed=confirmed,
-        obeyed=obeyed,
-        deadline=deadline,
-        operator_fraction=operator,
-        ceiling=ceiling,
-        healthy=healthy,
+        confirmed=choice.confirmed,
+        obeyed=choice.obeyed,
+        deadline=choice.deadline,
+        operator_fraction=choice.operator,
+        ceiling=choice.ceiling,
+        healthy=choice.healthy,
         cause=cause,
         left_zero=report.timestamp
         if target > 0.0 == state.fraction
@@ -370,8 +442,9 @@ def step_slider(
     )
 
 
-def _watch_arm(config, state, report, echo, hold):
+def _watch_arm(config, state, now):
     """Returns whether the arm follows the slider."""
+    report, echo = now.report, now.echo
     is_guided = report.robot_status_bits > 0 and bool(
         report.robot_status_bits & RobotStatusBit.TEACH_BUTTON
     )
@@ -384,7 +457,10 @@ def _watch_arm(config, state, report, echo, hold):
         joint_speeds=config.joint_speeds,
         # Without an echo nobody knows what the slider allows.
         is_judged=not (
-            hold or is_guided or math.isnan(echo) or math.isnan(state.fraction)
+            now.hold
+            or is_guided
+            or math.isnan(echo)
+            or math.isnan(state.fraction)
         ),
     )
 
@@ -397,7 +473,7 @@ def find_operator_limit(config: SliderConfig, echo: float) -> float | None:
         echo: Where the slider stands before anything was written.
 
     Returns:
-        For `operator_limit`; None: it stands at 0, or nobody knows where.
+        For `operator_limit`; None: it is at 0 or at an unknown value.
     """
     if config.operator_limit is not None:
         return config.operator_limit
@@ -405,15 +481,15 @@ def find_operator_limit(config: SliderConfig, echo: float) -> float | None:
         return 1.0
     if not 0.0 < echo <= 1.0 + config.tolerance:
         return None
-    # One that is rounded down from 1 is nobody's hand.
+    # A value rounded down from 1 was not set by a person.
     return echo if echo < 1.0 - config.tolerance else 1.0
 
 
 def _carry_operator(config, state, echo):
-    """Returns what a person allows as far as is known at a new session.
+    """Returns what a person allows, as far as known at a new session.
 
-    No more than in the session before: nobody is asked to set the slider
-    low a second time because a cable was loose.
+    No more than in the session before: a loose cable must not oblige anyone
+    to set the slider low a second time.
     """
     if math.isnan(state.operator_fraction):
         return find_operator_limit(config, echo) or 0.0
@@ -423,31 +499,33 @@ def _carry_operator(config, state, echo):
         and state.phase != SliderPhase.FAULT
         and echo < min(written) - config.tolerance
     ):
-        # Lower than all that may have been written: a person, meanwhile.
+        # Lower than anything that was written: a person did it meanwhile.
         return min(max(echo, 0.0), state.operator_fraction)
     return state.operator_fraction
 
 
-def _calc_ceiling(config, state, *, echo, elapsed, is_down, is_well):
+def _calc_ceiling(config, state, now, *, is_down):
     """Returns what is allowed now, and for how long all was well, s."""
     if is_down:
         return config.minimum_fraction, 0.0
+    is_well = not now.problem
+    elapsed = min(now.report.timestamp - state.timestamp, _LONGEST_STEP)
     reduced = config.reduced_fraction
     healthy = state.healthy if is_well else 0.0
     if healthy >= config.recovery_time:
         ceiling = state.ceiling + config.rise_rate * elapsed
         return (ceiling if ceiling < 1.0 else math.inf), healthy
     if state.ceiling > reduced:
-        # From where the slider is; never up again.
+        # Down from where the slider is, never up.
         ceiling = state.fraction - config.fall_rate * elapsed
         return max(ceiling, reduced), 0.0
-    if is_well and abs(echo - reduced) <= config.tolerance:
+    if is_well and abs(now.echo - reduced) <= config.tolerance:
         healthy += elapsed
     return min(state.ceiling + config.rise_rate * elapsed, reduced), healthy
 
 
 def _is_standing(config, report):
-    """Returns whether the robot stands still, or creeps if that is lowest."""
+    """Returns whether the robot is as slow as the lowest fraction allows."""
     limit = _STANDING + config.minimum_fraction * _FASTEST
     return bool((abs(report.velocity) <= limit).all())
 
@@ -457,57 +535,56 @@ def _is_within(value, values, tolerance):
     return min(values) - tolerance <= value <= max(values) + tolerance
 
 
-def _describe(
-    state,
-    report,
-    *,
-    wanted,
-    target,
-    hold,
-    fault,
-    arm_problem,
-    astray,
-    confirmed,
-    operator,
-    recovering,
-):
+def _describe(config, state, now, choice, arm_problem, cause):
     """Returns phase and reason."""
+    report, target = now.report, choice.target
     echo = report.target_speed_fraction
-    if fault:
+    if choice.fault:
         reason = arm_problem or (
             f"slider does not obey: at {echo:.2f}, not {state.fraction:.2f}"
         )
         if state.phase == SliderPhase.FAULT and not arm_problem:
             reason = state.reason
-        return {"phase": SliderPhase.FAULT, "reason": reason}
-    if hold:
-        if (
-            report.safety_mode == SafetyMode.PROTECTIVE_STOP
-            and report.timestamp - state.left_zero < _OFFENCE
-        ):
-            hold += ", right after the slider left 0: see minimum_fraction"
-        elif state.reason.startswith(hold):
-            hold = state.reason
-        return {"phase": SliderPhase.HOLDING, "reason": hold}
-    if not confirmed:
+        return SliderPhase.FAULT, reason
+    if now.hold:
+        return SliderPhase.HOLDING, _describe_hold(state, report, now.hold)
+    if not choice.confirmed:
         reason = f"slider at {echo:.2f}, not yet seen at {target:.2f}"
         if abs(echo - target) <= 0.005:
             reason = "waits until the robot stands still"
-        return {"phase": SliderPhase.WAITING, "reason": reason}
-    if astray:
+        return SliderPhase.WAITING, reason
+    if choice.astray:
         reason = f"slider was moved to {echo:.2f}, is set to {target:.2f}"
-        return {"phase": SliderPhase.FOLLOWING, "reason": reason}
-    if operator < wanted and target == operator:
-        reason = f"someone has set the slider to {operator:.2f}"
-        if operator <= _ZERO:
-            reason = (
-                "slider stands at 0, left by a person or an earlier run: "
-                "raise it on the pendant"
-            )
-        return {"phase": SliderPhase.YIELDING, "reason": reason}
-    if recovering:
-        return {"phase": SliderPhase.RECOVERING, "reason": recovering}
-    if target < wanted:
+        return SliderPhase.FOLLOWING, reason
+    if choice.operator < now.wanted and target == choice.operator:
+        return SliderPhase.YIELDING, _describe_operator(choice.operator)
+    is_below = target < now.wanted
+    if now.problem or (is_below and choice.healthy < config.recovery_time):
+        return SliderPhase.RECOVERING, (
+            f"slider at most {config.reduced_fraction:.2f} for "
+            f"now{': ' if now.problem else ', after: '}{cause}"
+        )
+    if is_below:
         reason = f"slider rises from a stop, at {target:.2f}"
-        return {"phase": SliderPhase.RISING, "reason": reason}
-    return {"phase": SliderPhase.FOLLOWING, "reason": ""}
+        return SliderPhase.RISING, reason
+    return SliderPhase.FOLLOWING, ""
+
+
+def _describe_hold(state, report, hold):
+    """Says why the slider stays lowest."""
+    if (
+        report.safety_mode == SafetyMode.PROTECTIVE_STOP
+        and report.timestamp - state.left_zero < _OFFENCE
+    ):
+        return hold + ", right after the slider left 0: see minimum_fraction"
+    return state.reason if state.reason.startswith(hold) else hold
+
+
+def _describe_operator(operator):
+    """Says that a person holds the slider low."""
+    if operator <= _ZERO:
+        return (
+            "slider stands at 0, left by a person or an earlier run: "
+            "raise it on the pendant"
+        )
+    return f"someone has set the slider to {operator:.2f}"
