@@ -11,7 +11,7 @@ import typer
 from tofssm_drake.diagrams.scenario import change_settings
 from tofssm_drake.errors import UserError, require
 from tofssm_drake.hardware.robot_checks import RobotChecks
-from tofssm_drake.hardware.rtde_client import RtdeConfig
+from tofssm_drake.hardware.rtde_config import RtdeConfig
 
 
 def parse_path(text: str) -> Path:

@@ -16,7 +16,8 @@ import time
 
 from robot_process import find_free_host
 
-from tofssm_drake.hardware.rtde_client import RtdeClient, RtdeConfig
+from tofssm_drake.hardware.rtde_client import RtdeClient
+from tofssm_drake.hardware.rtde_config import RtdeConfig
 from tofssm_drake.hardware.rtde_fields import RuntimeState
 from tofssm_drake.messages import RobotReport
 

@@ -2,7 +2,8 @@
 
 import sys
 
-from tofssm_drake.hardware.rtde_client import RtdeClient, RtdeConfig
+from tofssm_drake.hardware.rtde_client import RtdeClient
+from tofssm_drake.hardware.rtde_config import RtdeConfig
 from tofssm_drake.messages import SliderCommand
 
 

@@ -4,7 +4,8 @@ import unittest
 
 from robot_room import make_robot, serve
 
-from tofssm_drake.hardware.rtde_client import RtdeClient, RtdeConfig
+from tofssm_drake.hardware.rtde_client import RtdeClient
+from tofssm_drake.hardware.rtde_config import RtdeConfig
 from tofssm_drake.messages import SliderCommand
 
 

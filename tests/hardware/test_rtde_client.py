@@ -9,7 +9,8 @@ from odd_server import POSITION, OddServer
 from robot_room import make_robot, serve
 
 from tofssm_drake.errors import UserError
-from tofssm_drake.hardware.rtde_client import RtdeClient, RtdeConfig
+from tofssm_drake.hardware.rtde_client import RtdeClient
+from tofssm_drake.hardware.rtde_config import RtdeConfig
 from tofssm_drake.hardware.rtde_fields import OUTPUT_TYPES
 import tofssm_drake.hardware.rtde_protocol as rtde
 from tofssm_drake.hardware.rtde_protocol import PackageType

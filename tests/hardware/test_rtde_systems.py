@@ -15,7 +15,8 @@ from tofssm_drake.hardware.robot_connection import (
     LoopbackConnection,
     NullConnection,
 )
-from tofssm_drake.hardware.rtde_client import RtdeClient, RtdeConfig
+from tofssm_drake.hardware.rtde_client import RtdeClient
+from tofssm_drake.hardware.rtde_config import RtdeConfig
 from tofssm_drake.hardware.rtde_fields import RuntimeState
 import tofssm_drake.hardware.rtde_systems as mut
 from tofssm_drake.hardware.slider import SliderPhase

@@ -11,7 +11,8 @@ import unittest
 
 from robot_process import find_free_host, start, start_robot
 
-from tofssm_drake.hardware.rtde_client import RtdeClient, RtdeConfig
+from tofssm_drake.hardware.rtde_client import RtdeClient
+from tofssm_drake.hardware.rtde_config import RtdeConfig
 from tofssm_drake.hardware.rtde_fields import RuntimeState
 from tofssm_drake.scripts.main import run
 

@@ -5,7 +5,7 @@ from pathlib import Path
 import re
 import unittest
 
-from tofssm_drake.hardware.rtde_client import RtdeConfig
+from tofssm_drake.hardware.rtde_config import RtdeConfig
 
 _FILE = importlib.resources.files("tofssm_drake.hardware") / (
     "tofssm_watchdog.script"
