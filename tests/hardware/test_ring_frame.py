@@ -150,46 +150,15 @@ class TestFrame(unittest.TestCase):
                 mut.encode_frame(dc.replace(frame, **change))
 
 
-class TestCobs(unittest.TestCase):
-    def test_published_examples(self):
-        """Those of Cheshire and Baker's scheme as commonly printed."""
-        run = bytes(range(1, 255))
-        for plain, coded in (
-            (b"", b"\x01"),
-            (b"\0", b"\x01\x01"),
-            (b"\0\0", b"\x01\x01\x01"),
-            (b"\0\x11\0", b"\x01\x02\x11\x01"),
-            (b"\x11\x22\0\x33", b"\x03\x11\x22\x02\x33"),
-            (b"\x11\x22\x33\x44", b"\x05\x11\x22\x33\x44"),
-            (b"\x11\0\0\0", b"\x02\x11\x01\x01\x01"),
-            (run, b"\xff" + run),
-            (b"\0" + run, b"\x01\xff" + run),
-            (run + b"\xff", b"\xff" + run + b"\x02\xff"),
-            (run[1:] + b"\xff\0", b"\xff" + run[1:] + b"\xff\x01\x01"),
-            (run[2:] + b"\xff\0\x01", b"\xfe" + run[2:] + b"\xff\x02\x01"),
-        ):
-            with self.subTest(plain=plain[:8]):
-                self.assertEqual(mut.encode_cobs(plain), coded)
-                self.assertEqual(mut.decode_cobs(coded), plain)
-
-    @given(st.binary(max_size=600))
-    def test_round_trip(self, data):
-        coded = mut.encode_cobs(data)
-        self.assertNotIn(0, coded)
-        self.assertLessEqual(len(coded), len(data) + 1 + len(data) // 254)
-        self.assertEqual(mut.decode_cobs(coded), data)
-
-    @given(st.binary(max_size=100))
-    def test_decodes_or_tells(self, data):
-        try:
-            plain = mut.decode_cobs(data)
-        except mut.FrameError as error:
-            self.assertEqual(error.kind, "cobs")
-        else:
-            self.assertLessEqual(len(plain), max(len(data) - 1, 0))
-
-
 class TestFrameStream(unittest.TestCase):
+    @given(st.binary(max_size=400))
+    def test_any_bytes_give_frames_or_known_errors(self, data):
+        stream = mut.FrameStream()
+        stream.push(b"\0" + data + b"\0")
+        self.assertLessEqual(set(stream.errors), {"cobs", "length", "magic"})
+        # The next frame is found whatever came before.
+        self.assertEqual(len(stream.push(_COBS)), 1)
+
     def test_any_pieces(self):
         line = _COBS * 5
         for size in (1, 2, 7, 47, 48, 49, 240):

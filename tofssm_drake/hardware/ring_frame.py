@@ -22,6 +22,7 @@ import binascii
 import dataclasses as dc
 import struct
 
+from cobs import cobs
 import numpy as np
 
 SENSOR_COUNTS = (8, 16)
@@ -189,48 +190,16 @@ def decode_frame(data: bytes) -> RingFrame:
     )
 
 
-def encode_cobs(data: bytes) -> bytes:
-    """Returns bytes without zeros that stand for any bytes, by COBS.
-
-    Each zero is replaced by the distance to the next one; a run of 254 bytes
-    without a zero takes one byte more.
-    """
-    result = bytearray()
-    blocks = data.split(b"\0")
-    for i, block in enumerate(blocks):
-        while len(block) > 254 or (len(block) == 254 and i + 1 < len(blocks)):
-            result.append(255)
-            result += block[:254]
-            block = block[254:]
-        result.append(len(block) + 1)
-        result += block
-    return bytes(result)
-
-
-def decode_cobs(data: bytes) -> bytes:
-    """Returns what `encode_cobs` was given.
-
-    Raises:
-        FrameError: The bytes are no COBS.
-    """
-    result = bytearray()
-    size = len(data)
-    i = 0
-    while i < size:
-        code = data[i]
-        end = i + code
-        if code == 0 or end > size or 0 in data[i + 1 : end]:
-            raise FrameError("cobs")
-        result += data[i + 1 : end]
-        i = end
-        if code < 255 and i < size:
-            result.append(0)
-    return bytes(result)
-
-
 def encode_serial(frame: RingFrame) -> bytes:
     """Returns what goes over a serial line for a frame."""
-    return encode_cobs(encode_frame(frame)) + b"\0"
+    return cobs.encode(encode_frame(frame)) + b"\0"
+
+
+def _decode_cobs(piece):
+    try:
+        return cobs.decode(piece)
+    except cobs.DecodeError:
+        raise FrameError("cobs") from None
 
 
 class FrameStream:
@@ -263,7 +232,7 @@ class FrameStream:
             try:
                 if len(piece) > _LONGEST_PIECE:
                     raise FrameError("length")
-                frames.append(decode_frame(decode_cobs(piece)))
+                frames.append(decode_frame(_decode_cobs(piece)))
             except FrameError as error:
                 if not is_first:
                     count = self.errors.get(error.kind, 0)
