@@ -58,22 +58,22 @@ def experiments(
     sensing: Annotated[
         list[str] | None,
         typer.Option(
-            help="tof, ideal, lidar or tof16; may be given again.",
+            help="tof, ideal, lidar or tof16; can be repeated.",
             metavar="NAME",
         ),
     ] = None,
     ssm: Annotated[
         list[str] | None,
         typer.Option(
-            help="Safety law: vo, vr or sm; may be given again.",
+            help="Safety law: vo, vr or sm; can be repeated.",
             metavar="NAME",
         ),
     ] = None,
     study: Annotated[
         list[str] | None,
         typer.Option(
-            help="Also run cells with something changed, to see what it "
-            f"does: all, none, or {', '.join(VARIANTS)}; may be given again. "
+            help="Also run cells with one thing changed, to see its effect: "
+            f"all, none, or {', '.join(VARIANTS)}; can be repeated. "
             "Default: literal, if its cells are run.",
             metavar="NAME",
         ),
@@ -82,8 +82,8 @@ def experiments(
         Path | None,
         typer.Option(
             parser=options.parse_path,
-            help="Folder of BVH recordings; the trials take turns with "
-            "their gaits. Default: generated walks.",
+            help="Folder of BVH recordings; the trials use their gaits in "
+            "turn. Default: generated walks.",
             metavar="DIR",
         ),
     ] = None,
@@ -94,11 +94,11 @@ def experiments(
     duration: Annotated[
         float, typer.Option(help="Longest simulated time of a run, s.")
     ] = 900.0,
-    seed: Annotated[int, typer.Option(help="Decides every trial.")] = 0,
+    seed: Annotated[int, typer.Option(help="Seed of all trials.")] = 0,
     scheduler: Annotated[
         str | None,
         typer.Option(
-            help="A Dask cluster; default: the cores of this machine.",
+            help="A Dask scheduler; default: the cores of this machine.",
             metavar="tcp://HOST:8786",
         ),
     ] = None,
@@ -110,8 +110,8 @@ def experiments(
         Path,
         typer.Option(
             parser=options.parse_path,
-            help="Folder for the results; runs that are finished in it are "
-            "not repeated.",
+            help="Folder for the results; finished runs in it are not "
+            "repeated.",
             metavar="DIR",
         ),
     ] = Path("out/experiments"),

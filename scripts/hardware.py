@@ -32,8 +32,8 @@ def hardware(
     rings: Annotated[
         list[str],
         typer.Option(
-            help="Where the rings' frames come from; may be given again. "
-            "virtual simulates them around the real robot.",
+            help="Where the rings' frames come from; can be repeated. "
+            "virtual simulates the rings around the real robot.",
             metavar="udp://ADDRESS:PORT|serial:///dev/NAME|virtual",
         ),
     ],
@@ -52,13 +52,13 @@ def hardware(
         Path | None,
         typer.Option(
             parser=options.parse_path,
-            help="A BVH recording whose gait the person of virtual rings "
-            "walks with.",
+            help="BVH recording that gives the gait of the person around "
+            "virtual rings.",
             metavar="FILE.bvh",
         ),
     ] = None,
     seed: Annotated[
-        int | None, typer.Option(help="Seed of virtual sensors' errors.")
+        int | None, typer.Option(help="Seed of the virtual sensors' errors.")
     ] = None,
     dry_run: Annotated[
         bool,
@@ -68,35 +68,35 @@ def hardware(
         bool,
         typer.Option(
             "--any-pose",
-            help="Start anywhere within the joints' limits, not only near "
-            "the scenario's program.",
+            help="Start anywhere within the joint limits, not only near the "
+            "scenario's program.",
         ),
     ] = False,
     allow_no_pose: Annotated[
         bool,
         typer.Option(
             "--allow-no-pose",
-            help="Start although the robot does not report its tool's pose, "
-            "so that nothing tells whether it is the modelled one.",
+            help="Start even if the robot does not report its tool's pose, so "
+            "that it cannot be compared with the model.",
         ),
     ] = False,
     checks_text: options.ChecksText = "",
     minimum_fraction: Annotated[
         float,
-        typer.Option(help="Where a stop leaves the slider, 0 to 0.1."),
+        typer.Option(help="Slider position when stopped, 0 to 0.1."),
     ] = 0.0,
     slider_limit: Annotated[
         float | None,
         typer.Option(
-            help="Up to where the slider may go, until a person moves it. "
-            "Without it no further than where it stands at the start.",
+            help="Highest slider position, until a person moves the slider. "
+            "Default: where it stands at the start.",
         ),
     ] = None,
     control_period: Annotated[
         float | None,
         typer.Option(
-            help="Control tick, s; a multiple of the robot's cycle. Without "
-            "it there is a tick for each of the robot's reports."
+            help="Control tick, s; a multiple of the robot's cycle. "
+            "Default: one tick for each of the robot's reports."
         ),
     ] = None,
     wait: Annotated[
@@ -104,14 +104,13 @@ def hardware(
     ] = 30.0,
     duration: Annotated[
         float,
-        typer.Option(help="For how long, s; 0: until all is placed."),
+        typer.Option(help="Longest run, s; 0: until all products are placed."),
     ] = 0.0,
     real_time: Annotated[
         bool,
         typer.Option(
             "--real-time",
-            help="Go before all other programs of this computer, where the "
-            "system lets you.",
+            help="Run with real-time priority, if the system allows it.",
         ),
     ] = False,
     meshcat: Annotated[
@@ -121,7 +120,7 @@ def hardware(
         Path | None,
         typer.Option(
             parser=options.parse_path,
-            help="Record everything.",
+            help="Record the whole run.",
             metavar="FILE.mcap",
         ),
     ] = None,
@@ -134,9 +133,9 @@ def hardware(
         ),
     ] = None,
 ) -> int:
-    """Slow a real robot down when somebody is near.
+    """Slow a real robot down when a person is near.
 
-    Not a safety function: see docs/robot_link.md. Whatever ends the run puts
+    Not a safety function: see docs/robot_link.md. Whatever ends the run sets
     the robot's speed slider to 0.
     """
     require(

@@ -31,14 +31,14 @@ _FAREWELL = 20.0
 
 def hardware_demo(
     products: Annotated[
-        int, typer.Option(help="How many the robot picks and places.")
+        int, typer.Option(help="How many products are picked and placed.")
     ] = 10,
     ssm: Annotated[
         str, typer.Option(help="Safety law: vo, vr or sm.", metavar="vo|vr|sm")
     ] = "vo",
     duration: Annotated[
         float,
-        typer.Option(help="For how long, s; 0: until all is placed."),
+        typer.Option(help="Longest run, s; 0: until all products are placed."),
     ] = 0.0,
     out: Annotated[
         Path,
@@ -49,12 +49,11 @@ def hardware_demo(
         ),
     ] = Path("out/hardware"),
 ) -> int:
-    """Run the hardware's program on a simulated robot and simulated rings.
+    """Run the monitor on a simulated robot and simulated rings.
 
-    Three processes on this machine, which know of each other only what goes
-    over sockets: the robot's controller, the rings around a person who walks,
-    and the monitor. Takes as long as the robot does. Ctrl-C stops the robot,
-    then all of them.
+    Three processes on this machine, which communicate only over sockets: the
+    robot's controller, the rings around a walking person, and the monitor. The
+    demo runs in real time. Ctrl-C stops the robot, then all of them.
     """
     require(
         1 <= products <= 10,

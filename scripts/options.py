@@ -25,7 +25,7 @@ ScenarioFile = Annotated[
     Path | None,
     typer.Option(
         parser=parse_path,
-        help="YAML file of scenarios; default: those shipped.",
+        help="YAML file of scenarios; default: the shipped ones.",
         metavar="FILE.yaml",
     ),
 ]
@@ -43,7 +43,7 @@ HumanMotion = Annotated[
     Path | None,
     typer.Option(
         parser=parse_path,
-        help="A BVH recording whose gait the person walks with.",
+        help="BVH recording that gives the person's gait.",
         metavar="FILE.bvh",
     ),
 ]
@@ -52,14 +52,14 @@ RobotPort = Annotated[int, typer.Option(help="The robot's RTDE port.")]
 RobotText = Annotated[
     str,
     typer.Option(
-        help="Settings of the connection to change, as YAML, e.g. "
+        help="Connection settings to change, as YAML, e.g. "
         "'{heartbeat_register: 25}'; see docs/robot_link.md."
     ),
 ]
 ChecksText = Annotated[
     str,
     typer.Option(
-        help="Settings of the robot's checks to change, as YAML, e.g. "
+        help="Settings of the robot checks to change, as YAML, e.g. "
         "'{arm: {ramp_time: 0.25}}'; see docs/robot_link.md."
     ),
 ]

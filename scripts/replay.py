@@ -15,15 +15,15 @@ def replay(
         Path,
         typer.Argument(
             parser=options.parse_path,
-            help="What `tofssm hardware --record` wrote.",
+            help="File written by `tofssm hardware --record`.",
         ),
     ],
 ) -> int:
-    """Run the monitor on a record, and compare all that it says.
+    """Run the monitor on a record again and compare its results.
 
-    The exit code is 1 if it says something else than it did then, or if the
-    record is damaged. One that ends too early, as of a process that was
-    killed, is replayed as far as it goes.
+    The exit code is 1 if a result differs or if the record is damaged. A
+    record that ends early, for example because the process was killed, is
+    replayed as far as it goes.
     """
     reader = RunReader(file)
     result = replay_record(reader)

@@ -75,7 +75,7 @@ def simulate(
     ] = None,
     meshcat: Annotated[
         bool,
-        typer.Option(help="Watch live in a browser, at real time."),
+        typer.Option(help="Watch live in a browser, in real time."),
     ] = False,
     recording: Annotated[
         bool, typer.Option(help="Write recording.html, a 3-D replay.")

@@ -44,12 +44,14 @@ def simulated_rings(
     to: Annotated[
         str | None,
         typer.Option(
-            help="Where the frames go.", metavar="udp://127.0.0.1:PORT"
+            help="Where to send the frames.", metavar="udp://127.0.0.1:PORT"
         ),
     ] = None,
     pty: Annotated[
         bool,
-        typer.Option("--pty", help="Make a serial line and send there."),
+        typer.Option(
+            "--pty", help="Make a virtual serial line and send there."
+        ),
     ] = False,
     scenario_file: options.ScenarioFile = None,
     scenario_name: options.ScenarioName = "Default",
@@ -59,26 +61,26 @@ def simulated_rings(
     seed: options.Seed = None,
     drift: Annotated[
         float,
-        typer.Option(help="By how much the devices' clocks are fast, ppm."),
+        typer.Option(help="How much too fast the devices' clocks run, ppm."),
     ] = 0.0,
     fault: Annotated[
         list[str] | None,
         typer.Option(
-            help="What goes wrong and when, s after the start; may be given "
-            "again. KIND is silent, bus, status254, latency30, ...: "
-            "docs/ring_link.md has them all.",
+            help="Fault to inject, times in s after the start; can be "
+            "repeated. KIND is silent, bus, status254, latency30, ...: "
+            "docs/ring_link.md lists them all.",
             metavar="KIND:RING[.SENSOR]@START[-END]",
         ),
     ] = None,
     duration: Annotated[
-        float, typer.Option(help="For how long, s; 0: until Ctrl-C.")
+        float, typer.Option(help="Longest run, s; 0: until Ctrl-C.")
     ] = 0.0,
 ) -> int:
-    """Simulate three rings around a robot that runs, and send their frames.
+    """Simulate three rings around a running robot, and send their frames.
 
-    The rings see the cell, the products and a person who walks, and the arm
-    where the robot reports it to be. The line that is printed tells where the
-    frames go; they flow once the robot has reported.
+    The rings see the cell, the products, a walking person, and the arm where
+    the robot reports it to be. The line that is printed says where the frames
+    go; they start once the robot has reported.
     """
     require(
         (to is None) == pty,

@@ -26,68 +26,68 @@ _OPTIONS = {
 
 def simulated_ur(
     host: Annotated[
-        str, typer.Option(help="Address to listen at.")
+        str, typer.Option(help="Address to listen on.")
     ] = "127.0.0.1",
     port: Annotated[
         int, typer.Option(help="RTDE's TCP port; 0: a free one.")
     ] = 30004,
     dashboard_port: Annotated[
         int,
-        typer.Option(help="The dashboard's; 0: a free one, -1: none."),
+        typer.Option(help="The dashboard's TCP port; 0: a free one, -1: none."),
     ] = 29999,
     series: Annotated[
         str,
         typer.Option(help="CB3 or e-Series.", metavar="cb3|e"),
     ] = "cb3",
     products: Annotated[
-        int, typer.Option(help="How many the program picks and places.")
+        int, typer.Option(help="How many products are picked and placed.")
     ] = 10,
     loop: Annotated[
-        bool, typer.Option(help="Begin anew when the program is done.")
+        bool, typer.Option(help="Start again when the program is done.")
     ] = False,
     start: Annotated[
         str,
         typer.Option(
             help="When the program starts: at once, with the first heartbeat "
-            "or by the dashboard's play.",
+            "or with the dashboard's play.",
             metavar="now|heartbeat|dashboard",
         ),
     ] = "now",
     ramp: Annotated[
         float,
-        typer.Option(help="Time to follow the slider over its range, s."),
+        typer.Option(help="Time to follow the slider over its full range, s."),
     ] = 0.2,
     watchdog: Annotated[
         float,
         typer.Option(
-            help="The program stops if the heartbeat stalls that long, s; "
+            help="The watchdog acts if the heartbeat stalls for this long, s; "
             "0: no watchdog."
         ),
     ] = 0.0,
     watchdog_action: Annotated[
-        str, typer.Option(help="What it does.", metavar="stop|pause")
+        str, typer.Option(help="What the watchdog does.", metavar="stop|pause")
     ] = "stop",
     slider_resets_on_pause: Annotated[
-        bool, typer.Option(help="A pause puts the slider to 100 %.")
+        bool, typer.Option(help="A pause sets the slider to 100 %.")
     ] = False,
     protective_stop_after_zero: Annotated[
         bool,
-        typer.Option(help="The robot takes offence if the slider leaves 0."),
+        typer.Option(help="Protective stop when the slider leaves 0."),
     ] = False,
     text_messages: Annotated[
-        bool, typer.Option(help="Text messages before replies and data.")
+        bool, typer.Option(help="Send text messages before replies and data.")
     ] = False,
     skip_every: Annotated[
-        int, typer.Option(help="Leave out each n-th data package; 0: none.")
+        int, typer.Option(help="Leave out every n-th data package; 0: none.")
     ] = 0,
     fragment: Annotated[
-        int, typer.Option(help="At most that many bytes at once; 0: all.")
+        int, typer.Option(help="Send at most this many bytes at once; 0: all.")
     ] = 0,
 ) -> int:
     """Simulate a UR10's controller: RTDE, dashboard and a running program.
 
-    It serves until Ctrl-C or SIGTERM. The line that it prints tells that it
-    is ready and where.
+    It serves until Ctrl-C or SIGTERM. When it is ready it prints a line with
+    its address.
     """
     config = SimulatedUrConfig(
         series=series,
