@@ -1,5 +1,5 @@
-// Builds the frames of docs/ring_link.md. Plain C++11 without any library, so
-// that it runs on every microcontroller and on a PC.
+// Builds the frames of docs/ring_link.md. Plain C++11 without libraries, so
+// that it runs on any microcontroller and on a PC.
 #pragma once
 
 #include <stddef.h>
@@ -12,7 +12,7 @@ constexpr uint8_t kMaxSensors = 16;
 constexpr size_t kHeaderSize = 12;
 constexpr size_t kSampleSize = 5;
 constexpr size_t kMaxFrameSize = kHeaderSize + kSampleSize * kMaxSensors + 2;
-// COBS takes one byte more for less than 254 bytes, and the delimiter one.
+// Below 254 bytes COBS adds one byte, and the delimiter another.
 constexpr size_t kMaxLineSize = kMaxFrameSize + 2;
 
 constexpr uint8_t kRestarted = 0x01;  // first frame since the device started
@@ -52,7 +52,7 @@ inline uint8_t* put(uint8_t* to, uint32_t value, int bytes) {
 }
 
 // Writes a frame of n sensors (8 or 16) and returns its size. The buffer needs
-// kMaxFrameSize bytes. This is what a datagram holds.
+// kMaxFrameSize bytes. A datagram holds one such frame.
 inline size_t build(uint8_t ring, uint8_t flags, uint16_t sequence,
                     uint32_t time_us, const Sample* samples, uint8_t n,
                     uint8_t* frame) {
@@ -76,9 +76,9 @@ inline size_t build(uint8_t ring, uint8_t flags, uint16_t sequence,
 }
 
 // Writes a frame of less than 254 bytes as COBS with its delimiter and returns
-// the size, which is two more. This is what goes over a serial line.
+// the size, which is two bytes more. A serial line carries this form.
 inline size_t stuff(const uint8_t* frame, size_t size, uint8_t* line) {
-  uint8_t* code = line;  // where the distance to the next zero will stand
+  uint8_t* code = line;  // where the distance to the next zero goes
   uint8_t* to = line + 1;
   for (size_t i = 0; i < size; ++i) {
     if (frame[i] == 0) {
@@ -113,7 +113,7 @@ constexpr uint8_t kExampleLine[] = {
     0x14, 0x05, 0x07, 0x09, 0x17, 0x1a, 0x8e, 0x00,
 };
 
-// Whether this compiler and this machine build the example as they must.
+// Whether this compiler and this machine build the example correctly.
 inline bool check_example() {
   uint8_t frame[kMaxFrameSize];
   uint8_t line[kMaxLineSize];

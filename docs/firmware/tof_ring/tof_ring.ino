@@ -1,14 +1,14 @@
 // A ring of eight VL53L1X on one I2C bus that sends its frames over USB.
 //
 // An example to start from. It was never run on hardware; the tests run it on
-// a PC with a made-up bus. It needs a board with USB serial and 32-bit
+// a PC with a simulated bus. It needs a board with USB serial and 32-bit
 // arithmetic (Teensy, RP2040, ESP32-S3, ...) and Pololu's library "VL53L1X",
 // whose range status has the numbers of ST's API.
 //
 // Each sensor's XSHUT pin is on a pin of the board. All sensors share one
 // address after power-up, so a sensor is off until its turn to get its own.
-// The same way a sensor that was lost comes back: off, alone at the shared
-// address, running. The others go on measuring all the time.
+// A lost sensor is restarted the same way: off, alone at the shared address,
+// running. The others go on measuring all the time.
 #include <VL53L1X.h>
 #include <Wire.h>
 
@@ -20,15 +20,15 @@ constexpr uint8_t kShutdownPin[kSensors] = {2, 3, 4, 5, 6, 7, 8, 9};
 constexpr uint8_t kFirstAddress = 0x30;
 constexpr uint32_t kTimingBudgetUs = 20000;  // short mode only
 constexpr uint32_t kPeriodMs = 24;           // timing budget + 4 ms
-// Two frames for each sample: at 24 ms a sample could wait as long for its
-// frame, and be too old for the law's reaction time.
+// Two frames for each sample: with a frame every 24 ms a sample could wait for
+// 24 ms, and be too old for the law's reaction time.
 constexpr uint32_t kFrameMs = 12;
-constexpr uint32_t kOffMs = 5;         // off for so long: a power cycle
-constexpr uint32_t kBootMs = 3;        // 1.2 ms by the datasheet
-constexpr uint32_t kRetryMs = 500;     // between two tries to wake it
-constexpr uint32_t kSilenceMs = 200;   // no new sample for so long: it hangs
-constexpr uint8_t kMostFailures = 3;   // in a row on the bus: it is lost
-constexpr uint8_t kPeriods = 8;        // that its own period is averaged over
+constexpr uint32_t kOffMs = 5;         // off for this long: a power cycle
+constexpr uint32_t kBootMs = 3;        // 1.2 ms in the datasheet
+constexpr uint32_t kRetryMs = 500;     // between two attempts to wake it
+constexpr uint32_t kSilenceMs = 200;   // no new sample for this long: it hangs
+constexpr uint8_t kMostFailures = 3;   // in a row on the bus: sensor lost
+constexpr uint8_t kPeriods = 8;        // over which its own period is averaged
 
 enum class Step : uint8_t { kOff, kBooting, kRunning };
 
@@ -36,12 +36,12 @@ struct Sensor {
   VL53L1X device;
   Step step = Step::kOff;
   uint32_t since_ms = 0;   // when the step began, or the newest sample came
-  uint32_t wait_ms = kOffMs;  // stays off for so long
+  uint32_t wait_ms = kOffMs;  // stays off for this long
   uint8_t failures = 0;    // on the bus, in a row
-  uint32_t polled_us = 0;  // when it was known to have nothing new
+  uint32_t polled_us = 0;  // when it was last known to have nothing new
   uint32_t ready_us = 0;   // when its sample was ready, at the earliest
   int32_t period_us = 0;   // from sample to sample, smoothed
-  uint8_t periods = 0;     // that were measured; from kPeriods on it is known
+  uint8_t periods = 0;     // measured so far; from kPeriods on it is known
   bool has_sample = false;
   bool is_fresh = false;
   ring_frame::Sample sample = {0, ring_frame::kNoNewData, 255, 0};
@@ -61,8 +61,8 @@ void halt() {
   }
 }
 
-// Takes the power from a sensor. It stays off until its turn: at the shared
-// address there is never more than one.
+// Switches a sensor off until its turn: there is never more than one at the
+// shared address.
 void lose(uint8_t i, uint32_t wait_ms) {
   pinMode(kShutdownPin[i], OUTPUT);
   digitalWrite(kShutdownPin[i], LOW);
@@ -71,8 +71,8 @@ void lose(uint8_t i, uint32_t wait_ms) {
   sensors[i].wait_ms = wait_ms;
 }
 
-// Gives a sensor that is alone at the shared address its own and starts it.
-// Takes some 10 ms.
+// Gives a sensor that is alone at the shared address its own address and starts
+// it. Takes some 10 ms.
 bool start(uint8_t i) {
   VL53L1X& device = sensors[i].device;
   device.setTimeout(10);
@@ -131,7 +131,7 @@ bool read_sensor(Sensor& sensor) {
   }
   sensor.device.read(false);
   if (sensor.device.last_status != 0) return false;
-  // It was ready at some time since it was asked last: at the earliest then.
+  // It became ready at some time since the last poll: at the earliest then.
   if (sensor.has_sample) {
     const int32_t period_us =
         static_cast<int32_t>(sensor.polled_us - sensor.ready_us);
@@ -200,8 +200,8 @@ void send_frame() {
       frame,
       ring_frame::build(kRing, flags, sequence, now, sent, kSensors, frame),
       line);
-  // A frame that does not fit is lost and seen as such: old ones must not
-  // wait in a buffer.
+  // A frame that does not fit is lost, and the host notices: old frames must
+  // not wait in a buffer.
   ++sequence;
   if (Serial.availableForWrite() >= static_cast<int>(size)) {
     Serial.write(line, size);
@@ -221,7 +221,7 @@ void setup() {
 void loop() {
   read_sensors();
   if (static_cast<int32_t>(millis() - next_frame_ms) < 0) return;
-  // What was missed while a sensor was started is not made up for.
+  // Frames missed while a sensor was started are not sent later.
   next_frame_ms += kFrameMs;
   if (static_cast<int32_t>(millis() - next_frame_ms) >= 0) {
     next_frame_ms = millis() + kFrameMs;
