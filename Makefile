@@ -1,12 +1,12 @@
 # Two commands on a fresh machine with python3 >= 3.11, make and git:
-#   make run     runs the default scenario and says where the report is
+#   make run     runs the default scenario and prints where the report is
 #   make test    checks format and lint, then runs the tests
-# and some more:
+# More commands:
 #   make bench   measures speed
 #   make false-alarms    simulates an hour without a fault and counts alarms
-#   make hardware-demo   runs the hardware's program on a simulated robot
+#   make hardware-demo   runs the hardware command on a simulated robot
 #   make fault-table     measures how fast each fault stops that robot
-# Another Python, beside the usual one:
+# With another Python, in an environment of its own:
 #   make PYTHON=python3.12 VENV=.venv312 test
 
 PYTHON ?= python3
@@ -14,8 +14,8 @@ VENV ?= .venv
 BIN := $(VENV)/bin
 OUT ?= out/default
 
-# The exact versions for the Python of the environment, if they are listed.
-# Asked when something is installed: then the environment is there.
+# The exact versions for the environment's Python, if they are listed. Expanded
+# only when something is installed: by then the environment exists.
 CONSTRAINTS = $(wildcard constraints-$(shell $(BIN)/python -c \
 	'import sys; print("%d.%d" % sys.version_info[:2])').txt)
 PIP_INSTALL = $(BIN)/python -m pip install --quiet \
@@ -23,7 +23,7 @@ PIP_INSTALL = $(BIN)/python -m pip install --quiet \
 TELL_UNPINNED = @$(if $(CONSTRAINTS),:,echo "No constraints file for" \
 	"$$($(BIN)/python --version): the newest versions are installed")
 
-# Drake's wheel leaves three common libraries to the system.
+# Drake's wheel needs three common libraries from the system.
 CHECK_DRAKE := @$(BIN)/python -c 'import pydrake.common' 2> /dev/null || \
 	scripts/install_system_packages.sh \
 	  "Drake lacks libraries" libglib2.0-0 libsm6 libx11-6
