@@ -130,7 +130,7 @@ class TestHardware(unittest.TestCase):
             for options, told in (((), False), (("--real-time",), True)):
                 with (
                     self.subTest(options=options),
-                    serve(make_robot()) as server,
+                    serve(make_robot(start="heartbeat")) as server,
                 ):
                     ask.reset_mock()
                     code, out, err = run_hardware(
@@ -146,7 +146,7 @@ class TestHardware(unittest.TestCase):
     def test_the_tick_is_the_robots(self):
         """An e-Series needs no setting; what does not fit it is refused."""
         path = self.folder / "run.mcap"
-        with serve(make_robot(series="e")) as server:
+        with serve(make_robot(series="e", start="heartbeat")) as server:
             for options, period in (
                 ((), 0.002),
                 (("--control-period", 0.008), 0.008),
@@ -198,7 +198,7 @@ class TestHardware(unittest.TestCase):
 
     def test_dry_run_writes_nothing(self):
         path = self.folder / "run.mcap"
-        robot = make_robot()
+        robot = make_robot(start="heartbeat")
         with serve(robot) as server:
             before = dict(robot.inputs)
             code, out, err = run_hardware(
@@ -282,7 +282,7 @@ class TestHardware(unittest.TestCase):
                         raise RuntimeError("something\nis broken")
                     return function(*args, **kwargs)
 
-                robot = make_robot()
+                robot = make_robot(start="heartbeat")
                 with (
                     serve(robot) as server,
                     mock.patch.object(module, name, fail),
@@ -298,7 +298,7 @@ class TestHardware(unittest.TestCase):
                 self.assertNotIn("Traceback", out + err)
 
     def test_a_terminal_that_is_held_does_not_keep_the_robot_moving(self):
-        robot = make_robot()
+        robot = make_robot(start="heartbeat")
         waited = []
 
         class Terminal(io.StringIO):
@@ -337,7 +337,7 @@ class TestHardware(unittest.TestCase):
 
     def test_a_stream_that_stalls_begins_anew_from_zero(self):
         path = self.folder / "run.mcap"
-        robot = make_robot()
+        robot = make_robot(start="heartbeat")
         with (
             serve(robot) as server,
             at_ticks({60: lambda: server.do("simulate stall 0.5")}),
@@ -379,7 +379,7 @@ class TestHardware(unittest.TestCase):
         path = self.folder / "run.mcap"
         limits = resource.getrlimit(resource.RLIMIT_FSIZE)
         self.addCleanup(resource.setrlimit, resource.RLIMIT_FSIZE, limits)
-        robot = make_robot()
+        robot = make_robot(start="heartbeat")
         with (
             serve(robot) as server,
             at_ticks(
@@ -408,7 +408,7 @@ class TestHardware(unittest.TestCase):
 
     def test_says_why_the_robot_is_slow(self):
         """Whatever a person, the robot or a fieldbus does: one line each."""
-        robot = make_robot()
+        robot = make_robot(start="heartbeat")
 
         def claim():
             server.claim(["speed_slider_mask", "speed_slider_fraction"])
@@ -449,7 +449,7 @@ class TestHardware(unittest.TestCase):
         self.assertLess(len(lines), 40, err)
 
     def test_a_robot_that_takes_offence_at_zero(self):
-        robot = make_robot(protective_stop_after_zero=True)
+        robot = make_robot(start="heartbeat", protective_stop_after_zero=True)
         with serve(robot) as server:
             code, _, err = run_hardware(server, "--duration", 1)
         self.assertEqual(code, 0, err)
@@ -460,7 +460,7 @@ class TestHardware(unittest.TestCase):
         )
 
     def test_refuses_what_is_not_fit(self):
-        robot = make_robot()
+        robot = make_robot(start="heartbeat")
         robot.set_safety_mode(SafetyMode.PROTECTIVE_STOP)
         with serve(robot) as server:
             for options, rings, message in (
@@ -518,7 +518,7 @@ class TestHardware(unittest.TestCase):
             os.kill(os.getpid(), signal.SIGTERM)
             raise RuntimeError("just then")
 
-        robot = make_robot()
+        robot = make_robot(start="heartbeat")
         with serve(robot) as server, at_ticks({60: fail}):
             code, out, err = run_hardware(server)
         self.assertEqual((code, robot.slider), (130, 0.0), err)
@@ -526,7 +526,7 @@ class TestHardware(unittest.TestCase):
 
     def test_settings_of_the_connection(self):
         path = self.folder / "run.mcap"
-        with serve(make_robot()) as server:
+        with serve(make_robot(start="heartbeat")) as server:
             code, _, err = run_hardware(
                 server,
                 *("--robot-text", "{heartbeat_register: 31}"),
@@ -549,7 +549,7 @@ class TestHardware(unittest.TestCase):
                 for number in numbers:
                     os.kill(os.getpid(), number)
 
-            robot = make_robot()
+            robot = make_robot(start="heartbeat")
             leave = RtdeClient._leave_stopped
 
             def leave_late(client, send=send, leave=leave):
@@ -571,7 +571,7 @@ class TestHardware(unittest.TestCase):
                 self.assertEqual(after, before)
 
     def test_interrupted_while_kernels_are_compiled(self):
-        robot = make_robot()
+        robot = make_robot(start="heartbeat")
         for is_wrapped in (False, True):
             with self.subTest(is_wrapped=is_wrapped), serve(robot) as server:
 
@@ -591,7 +591,7 @@ class TestHardware(unittest.TestCase):
                 self.assertEqual(robot.slider, 1.0)
 
     def test_what_needs_no_robot_is_refused_before_it_is_touched(self):
-        robot = make_robot()
+        robot = make_robot(start="heartbeat")
         with serve(robot) as server:
             for options, message in (
                 (("--human-motion", "/nope.bvh"), "/nope.bvh"),
@@ -612,7 +612,7 @@ class TestHardware(unittest.TestCase):
                     self.assertEqual(robot.slider, 1.0)
 
     def test_a_run_that_never_begins_spares_the_record_before(self):
-        robot = make_robot()
+        robot = make_robot(start="heartbeat")
         robot.set_safety_mode(SafetyMode.PROTECTIVE_STOP)
         path, out = self.folder / "run.mcap", self.folder / "out"
         path.write_bytes(b"of an earlier run")
@@ -629,7 +629,7 @@ class TestHardware(unittest.TestCase):
             ((), "must be normal or reduced; slider set to 0\n"),
             (("--dry-run",), "reduced; nothing was written (dry run)\n"),
         ):
-            robot = make_robot()
+            robot = make_robot(start="heartbeat")
             robot.set_safety_mode(SafetyMode.PROTECTIVE_STOP)
             with self.subTest(options=options), serve(robot) as server:
                 code, out, err = run_hardware(server, *options)
@@ -640,7 +640,7 @@ class TestHardware(unittest.TestCase):
     def test_a_slider_that_stands_low_stays_low(self):
         for options, highest in (((), 0.1), (("--slider-limit", 0.4), 0.4)):
             path = self.folder / "run.mcap"
-            robot = make_robot()
+            robot = make_robot(start="heartbeat")
             robot.move_slider(0.1)
             with self.subTest(options=options), serve(robot) as server:
                 code, _, err = run_hardware(
@@ -655,7 +655,7 @@ class TestHardware(unittest.TestCase):
             self.assertEqual(run_replay(path)[0], 0)
 
     def test_robot_is_held_while_rings_are_waited_for(self):
-        robot = make_robot()
+        robot = make_robot(start="heartbeat")
         seen = []
 
         def wait(link, timeout):
