@@ -78,6 +78,28 @@ def at_ticks(actions):
         yield
 
 
+@contextlib.contextmanager
+def when(condition, action):
+    """Does something once, before the first tick at which a condition holds.
+
+    Also yields a list that is empty before it was done.
+    """
+    tick, done = HardwareLoop.tick, []
+
+    def act(loop, given):
+        if not done and condition():
+            done.append(True)
+            action()
+        return tick(loop, given)
+
+    with mock.patch.object(HardwareLoop, "tick", act):
+        yield done
+
+
+def interrupt():
+    signal.raise_signal(signal.SIGINT)
+
+
 def run_replay(path):
     out = io.StringIO()
     with contextlib.redirect_stdout(out):
@@ -98,20 +120,24 @@ class TestHardware(unittest.TestCase):
     def test_runs_then_leaves_the_slider_at_zero(self):
         path = self.folder / "run.mcap"
         robot = make_robot(start="heartbeat")
-        with serve(robot) as server:
+        with (
+            serve(robot) as server,
+            when(
+                lambda: robot.path_time > 0.0 and robot.slider > 0.5, interrupt
+            ),
+        ):
             code, out, err = run_hardware(
                 server,
-                *("--duration", 2.5, "--record", path),
-                *("--out", self.folder / "out"),
+                *("--record", path, "--out", self.folder / "out"),
                 text="{program: {products: 2}}",
             )
-            self.assertEqual(code, 0, err)
-            self.assertIn("ran for 2.5 s; slider set to 0", out)
+            self.assertEqual(code, 130, err)
+            self.assertIn("interrupted; slider set to 0", out)
             self.assertEqual(robot.slider, 0.0)
             self.assertGreater(robot.path_time, 0.1)
         self.assertTrue((self.folder / "out" / "report.html").is_file())
         summary = json.loads((self.folder / "out" / "summary.json").read_text())
-        self.assertFalse(summary["interrupted"])
+        self.assertTrue(summary["interrupted"])
 
         ticks = list(RunReader(path).read_ticks())
         fractions = [t.command.speed_fraction for t in ticks]
@@ -166,10 +192,12 @@ class TestHardware(unittest.TestCase):
                     scenario = reader.run["scenario"]
                     self.assertEqual(scenario["control_period"], period)
                     self.assertEqual(scenario["audit"]["rtde_period"], 0.002)
+                    # Reports come on the robot's clock; a busy computer may
+                    # miss some.
                     times = np.array([t.time for t in reader.read_ticks()])
-                    # A command for each report, whatever the tick.
-                    self.assertAlmostEqual(
-                        np.diff(times).min(), 0.002, delta=1e-5
+                    steps = np.diff(times) / 0.002
+                    np.testing.assert_allclose(
+                        steps, np.maximum(np.round(steps), 1), atol=0.005
                     )
                     self.assertEqual(run_replay(path)[0], 0)
             code, _, err = run_hardware(server, "--control-period", 0.003)
@@ -178,8 +206,11 @@ class TestHardware(unittest.TestCase):
 
     def test_replay_tells_a_difference(self):
         path = self.folder / "run.mcap"
-        with serve() as server:
-            run_hardware(server, "--duration", 0.5, "--record", path)
+        with (
+            serve(make_robot(start="heartbeat")) as server,
+            at_ticks({80: interrupt}),
+        ):
+            run_hardware(server, "--record", path)
         data = path.read_bytes()
         self.assertIn(b'"robot_state":2', data)
         path.write_bytes(data.replace(b'"robot_state":2', b'"robot_state":1'))
@@ -363,11 +394,14 @@ class TestHardware(unittest.TestCase):
             self.assertEqual(first.command.mask, 1)
 
     def test_a_robot_that_is_gone_for_good_ends_the_run(self):
+        robot = make_robot(start="heartbeat")
         with (
-            serve() as server,
+            serve(robot) as server,
             mock.patch.object(hardware_run, "_LONGEST_SILENCE", 0.5),
-            # By then it has left 0.
-            at_ticks({60: lambda: server.do("simulate stall 60")}),
+            when(
+                lambda: robot.path_time > 0.0 and robot.slider > 0.3,
+                lambda: server.do("simulate stall 60"),
+            ),
         ):
             code, out, err = run_hardware(server)
         self.assertEqual(code, 1, err)
@@ -446,7 +480,8 @@ class TestHardware(unittest.TestCase):
         ):
             with self.subTest(why=why):
                 self.assertTrue(any(re.search(why, t) for t in lines), err)
-        self.assertLess(len(lines), 40, err)
+        # Not one for each of the 600 ticks.
+        self.assertLess(len(lines), 150, err)
 
     def test_a_robot_that_takes_offence_at_zero(self):
         robot = make_robot(start="heartbeat", protective_stop_after_zero=True)
