@@ -178,7 +178,7 @@ class Program:
             self.process.send_signal(signal.SIGCONT)
             self.process.send_signal(signal.SIGTERM)
             try:
-                self.process.wait(20.0)
+                self.process.wait(120.0)
             except subprocess.TimeoutExpired:
                 self.process.kill()
                 self.process.wait()

@@ -47,7 +47,7 @@ def make_example(ring, sequence, distance=0.5):
     )
 
 
-def wait_for(condition, timeout=5.0):
+def wait_for(condition, timeout=120.0):
     """Returns whether a condition came true."""
     end = time.monotonic() + timeout
     while not condition():

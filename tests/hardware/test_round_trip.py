@@ -17,7 +17,7 @@ class TestRoundTrip(unittest.TestCase):
                 serve(make_robot(series=series)) as server,
                 RtdeClient(RtdeConfig(port=server.address[1])) as dut,
             ):
-                report = dut.wait_for_report(after=-1, timeout=5)
+                report = dut.wait_for_report(after=-1, timeout=120)
                 self.assertEqual(report.target_speed_fraction, 1.0)
                 self.assertEqual(dut.get_status().frequency, rate)
                 command = SliderCommand(

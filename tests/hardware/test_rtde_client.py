@@ -29,7 +29,7 @@ def connect(server, **settings):
     return RtdeClient(RtdeConfig(**settings))
 
 
-def wait_until(condition, timeout=5.0):
+def wait_until(condition, timeout=120.0):
     """Waits until a condition holds; returns whether it does."""
     deadline = time.monotonic() + timeout
     while not condition() and time.monotonic() < deadline:
@@ -64,7 +64,7 @@ class TestStream(unittest.TestCase):
 
         before = time.monotonic()
         with Server() as server, connect(server) as dut:
-            report = dut.wait_for_report(after=-1, timeout=5)
+            report = dut.wait_for_report(after=-1, timeout=120)
             self.assertEqual(report.sequence, 0)
             self.assertEqual(report.session, 0)
             self.assertEqual(report.timestamp, 100.0)
@@ -134,7 +134,7 @@ class TestStream(unittest.TestCase):
                 for k in (0, 1, 2, 5, 6, 6, 10):
                     self.send(self.make_package(100 + 0.008 * k))
 
-        with Server() as server, connect(server, stream_timeout=5) as dut:
+        with Server() as server, connect(server, stream_timeout=10) as dut:
             self.assertTrue(wait_until(lambda: dut.get_report().sequence == 5))
             status = dut.get_status()
             self.assertEqual(dut.get_report().missed, 5)
@@ -148,7 +148,7 @@ class TestStream(unittest.TestCase):
                 for t in (100.0, 100.008, 3.0, 3.008, 50.0):
                     self.send(self.make_package(t))
 
-        with Server() as server, connect(server, stream_timeout=5) as dut:
+        with Server() as server, connect(server, stream_timeout=10) as dut:
             self.assertTrue(wait_until(lambda: dut.get_report().sequence == 4))
             self.assertEqual(dut.get_report().session, 2)
             self.assertEqual(dut.get_report().missed, 0)
@@ -164,7 +164,7 @@ class TestStream(unittest.TestCase):
                 # As much went by here.
                 self.send(self.make_package(101.7))
 
-        with Server() as server, connect(server, stream_timeout=5) as dut:
+        with Server() as server, connect(server, stream_timeout=10) as dut:
             self.assertTrue(wait_until(lambda: dut.get_report().sequence == 4))
             self.assertEqual(dut.get_report().session, 2)
 
@@ -186,8 +186,8 @@ class TestStream(unittest.TestCase):
                     self.send(bad)
                 self.send(good)
 
-        with Server() as server, connect(server, stream_timeout=5) as dut:
-            report = dut.wait_for_report(after=-1, timeout=5)
+        with Server() as server, connect(server, stream_timeout=10) as dut:
+            report = dut.wait_for_report(after=-1, timeout=120)
             self.assertEqual(report.timestamp, 100.0)
             self.assertEqual(dut.get_status().rejected, 5)
             self.assertEqual(dut.get_status().texts, 1)
@@ -241,7 +241,7 @@ class TestStream(unittest.TestCase):
                 super().stream()
                 self.send(b"\x00\x02U")
 
-        with Server() as server, connect(server, stream_timeout=5) as dut:
+        with Server() as server, connect(server, stream_timeout=10) as dut:
             self.assertTrue(wait_until(lambda: server.streams >= 3))
             self.assertGreaterEqual(dut.get_status().connections, 2)
 
@@ -285,7 +285,7 @@ class TestHandshake(unittest.TestCase):
                 )
 
         with Server() as server, connect(server) as dut:
-            report = dut.wait_for_report(after=-1, timeout=5)
+            report = dut.wait_for_report(after=-1, timeout=120)
             np.testing.assert_array_equal(report.position, POSITION)
 
     def test_neither_version(self):
@@ -308,7 +308,7 @@ class TestHandshake(unittest.TestCase):
             Server() as server,
             connect(server, clock_jump=5.0) as dut,
         ):
-            report = dut.wait_for_report(after=-1, timeout=5)
+            report = dut.wait_for_report(after=-1, timeout=120)
             self.assertEqual(report.session, 0)
             self.assertTrue(wait_until(lambda: dut.get_report().sequence >= 5))
 
@@ -322,7 +322,7 @@ class TestHandshake(unittest.TestCase):
             }
 
         with Server() as server, connect(server) as dut:
-            report = dut.wait_for_report(after=-1, timeout=5)
+            report = dut.wait_for_report(after=-1, timeout=120)
             self.assertEqual(report.safety_status, -1)
             self.assertTrue(np.isnan(report.tcp_pose).all())
             self.assertTrue(math.isnan(report.speed_scaling))
@@ -439,7 +439,7 @@ class TestHandshake(unittest.TestCase):
             Server() as server,
             connect(server, lenient=True, clock_jump=2) as dut,
         ):
-            report = dut.wait_for_report(after=-1, timeout=5)
+            report = dut.wait_for_report(after=-1, timeout=120)
             np.testing.assert_array_equal(report.position, POSITION)
             self.assertEqual(report.robot_mode, 0)
             self.assertEqual(report.safety_mode, -1)
@@ -484,8 +484,8 @@ class TestWriting(unittest.TestCase):
                 self.send(self.make_package(100.0, target_speed_fraction=0.0))
 
         with Server() as server:
-            with connect(server, stream_timeout=5) as dut:
-                dut.wait_for_report(after=-1, timeout=5)
+            with connect(server, stream_timeout=10) as dut:
+                dut.wait_for_report(after=-1, timeout=120)
                 self.assertFalse(dut.send(SliderCommand()))
                 command = SliderCommand(
                     sequence=0, mask=1, speed_fraction=0.25, heartbeat=7
@@ -509,7 +509,7 @@ class TestWriting(unittest.TestCase):
             serve() as server,
             connect(server, write=False) as dut,
         ):
-            dut.wait_for_report(after=-1, timeout=5)
+            dut.wait_for_report(after=-1, timeout=120)
             self.assertFalse(dut.send(SliderCommand(sequence=0, mask=1)))
             self.assertFalse(dut.get_status().writes)
         self.assertEqual(server.robot.slider, 1.0)
@@ -529,7 +529,7 @@ class TestWriting(unittest.TestCase):
                     time.sleep(0.008)
 
         with Server() as server, connect(server) as dut:
-            report = dut.wait_for_report(after=-1, timeout=5)
+            report = dut.wait_for_report(after=-1, timeout=120)
             command = SliderCommand(sequence=report.sequence)
             longest = 0.0
             sent = True
@@ -549,7 +549,7 @@ class TestWriting(unittest.TestCase):
                 tap=lambda *package: seen.append(package),
             )
             with client:
-                report = client.wait_for_report(after=-1, timeout=5)
+                report = client.wait_for_report(after=-1, timeout=120)
                 client.send(
                     SliderCommand(sequence=report.sequence, heartbeat=3)
                 )
@@ -566,14 +566,14 @@ class TestWriting(unittest.TestCase):
 class TestWithSimulatedRobot(unittest.TestCase):
     def test_in_use_is_told_and_retried(self):
         with serve() as server, connect(server) as first:
-            first.wait_for_report(after=-1, timeout=5)
+            first.wait_for_report(after=-1, timeout=120)
             with connect(server) as dut:
                 self.assertTrue(
                     wait_until(lambda: "in use" in dut.get_status().problem)
                 )
                 first.close()
                 self.assertGreaterEqual(
-                    dut.wait_for_report(after=-1, timeout=5).sequence, 0
+                    dut.wait_for_report(after=-1, timeout=120).sequence, 0
                 )
                 self.assertTrue(dut.get_status().writes)
 
@@ -583,7 +583,7 @@ class TestWithSimulatedRobot(unittest.TestCase):
         )
         with (
             serve(faults=faults) as server,
-            connect(server, stream_timeout=5) as dut,
+            connect(server, stream_timeout=10) as dut,
         ):
             self.assertTrue(wait_until(lambda: dut.get_report().sequence > 60))
             status = dut.get_status()
@@ -658,7 +658,7 @@ class TestWithSimulatedRobot(unittest.TestCase):
         """Else a tick that took long would move a robot that began anew."""
         robot = make_robot()
         with serve(robot) as server, connect(server) as dut:
-            old = dut.wait_for_report(after=-1, timeout=5)
+            old = dut.wait_for_report(after=-1, timeout=120)
             server.drop_clients()
             self.assertTrue(
                 wait_until(lambda: dut.get_report().session > old.session)
@@ -671,7 +671,7 @@ class TestWithSimulatedRobot(unittest.TestCase):
         robot = make_robot()
         with serve(robot) as server:
             with connect(server, retry_first=0.05, retry_last=0.05) as dut:
-                dut.wait_for_report(after=-1, timeout=5)
+                dut.wait_for_report(after=-1, timeout=120)
                 server.drop_clients()
                 self.assertTrue(
                     wait_until(lambda: not dut.get_status().connected)
@@ -682,6 +682,6 @@ class TestWithSimulatedRobot(unittest.TestCase):
         robot = make_robot()
         with serve(robot) as server:
             with connect(server) as dut:
-                dut.wait_for_report(after=-1, timeout=5)
+                dut.wait_for_report(after=-1, timeout=120)
             self.assertEqual(robot.slider, 0.0)
             self.assertTrue(wait_until(lambda: not server._claims))

@@ -35,7 +35,7 @@ class RawClient:
             struct.pack(">HB", 3 + len(payload), kind) + payload
         )
 
-    def receive(self, timeout=5.0):
+    def receive(self, timeout=120.0):
         """Returns the next package, None if none comes."""
         self.socket.settimeout(timeout)
         while not self.waiting:

@@ -19,7 +19,7 @@ from tofssm_drake.scripts.main import run
 _HERE = Path(__file__).parent
 
 
-def wait_for(client, condition, timeout=5.0):
+def wait_for(client, condition, timeout=120.0):
     """Returns the first report for which the condition holds."""
     deadline = time.monotonic() + timeout
     report = client.get_report()

@@ -12,7 +12,7 @@ from rtde_io import RTDEIOInterface
 from rtde_receive import RTDEReceiveInterface
 
 
-def wait_until(condition, timeout=5.0):
+def wait_until(condition, timeout=120.0):
     """Waits until a condition holds; returns whether it does."""
     deadline = time.monotonic() + timeout
     while not condition() and time.monotonic() < deadline:

@@ -74,7 +74,7 @@ class TestRings(unittest.TestCase):
             self.assertLess(seen.still, math.inf)
             self.assertEqual(seen.slider, 0.0)
             self.assertEqual(
-                runner.process.wait(30.0), 130, runner.err + runner.out
+                runner.process.wait(120.0), 130, runner.err + runner.out
             )
             self.assertIn("interrupted; slider set to 0", runner.out)
             self.check_record(path, "sample is")
@@ -119,7 +119,7 @@ class TestDemo(unittest.TestCase):
             children = find_children(demo.process.pid)
             self.assertEqual(len(children), 3)
             demo.process.send_signal(signal.SIGINT)
-            self.assertEqual(demo.process.wait(60.0), 130)
+            self.assertEqual(demo.process.wait(120.0), 130)
             self.assertIn("interrupted; slider set to 0", demo.out)
             self.assertNotIn("Traceback", demo.out + demo.err)
             for child in children:

@@ -37,7 +37,7 @@ def start(*arguments):
     finally:
         if process.poll() is None:
             process.send_signal(signal.SIGTERM)
-            process.communicate(timeout=30.0)
+            process.communicate(timeout=120.0)
 
 
 def open_link(address):
@@ -82,7 +82,7 @@ class TestSimulatedRings(unittest.TestCase):
             for ring in ("base", "elbow"):
                 self.assertEqual(status.counts[ring].lost, 0)
             rings.send_signal(signal.SIGTERM)
-            out, _ = rings.communicate(timeout=30.0)
+            out, _ = rings.communicate(timeout=120.0)
             self.assertEqual(rings.returncode, 0)
             for ring in RINGS:
                 (count,) = re.findall(rf"{ring} (\d+)", out)
