@@ -1,4 +1,4 @@
-"""`tofssm replay`: runs the monitor once more on what was recorded."""
+"""`tofssm replay`: runs the monitor again on a recorded run."""
 
 from pathlib import Path
 from typing import Annotated
@@ -15,15 +15,15 @@ def replay(
         Path,
         typer.Argument(
             parser=options.parse_path,
-            help="What `tofssm hardware --record` wrote.",
+            help="File written by `tofssm hardware --record`.",
         ),
     ],
 ) -> int:
-    """Run the monitor on a record, and compare all that it says.
+    """Run the monitor on a record, and compare everything it outputs.
 
-    The exit code is 1 if it says something else than it did then, or if the
-    record is damaged. One that ends too early, as of a process that was
-    killed, is replayed as far as it goes.
+    The exit code is 1 if any output differs, or if the record is damaged. A
+    record that ends early, as when the process was killed, is replayed as far
+    as it goes.
     """
     reader = RunReader(file)
     result = replay_record(reader)

@@ -255,7 +255,9 @@ class TestGoingOn:
         monkeypatch.setattr(campaign_report, "render_page", terminate)
         monkeypatch.setattr(campaign_report, "list_figures", lambda *_: {})
         assert run_in_process(*SMALL, "--out", out, report=True) == 130
-        assert "the same command goes on from here" in capfd.readouterr().err
+        assert (
+            "run the same command again to continue" in capfd.readouterr().err
+        )
         assert list_tree(out) == before
         # The handler is gone with the command.
         assert signal.getsignal(signal.SIGTERM) == signal.SIG_DFL
@@ -411,7 +413,7 @@ class TestBadInput:
         os.mkfifo(tmp_path / "pipe.bvh")
         code = main.run(["experiments", "--human-motions", str(tmp_path)])
         assert code == 2
-        assert "pipe.bvh is no file" in capfd.readouterr().err
+        assert "pipe.bvh is not a file" in capfd.readouterr().err
 
     @pytest.mark.parametrize(
         ("arguments", "message"),
@@ -445,7 +447,7 @@ class TestBadInput:
                 continue
             assert run_in_process(*SMALL, "--out", out, report=True) == 2
             (line,) = capfd.readouterr().err.splitlines()
-            assert line.startswith("tofssm: --out: can not write into")
+            assert line.startswith("tofssm: --out: cannot write into")
             assert f"{path} is no folder" in line
         assert list_tree(tmp_path) == before
 

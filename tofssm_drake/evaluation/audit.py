@@ -1,6 +1,6 @@
 """Audit of a run against ISO/TS 15066 and the robot's stopping time.
 
-From the samples only: what has to be known besides is in
+From the samples only: the settings it needs are in
 `Samples.metadata["audit"]`, see `make_audit_metadata`.
 
 The protective separation distance S_p is computed for each link at each tick
@@ -11,15 +11,14 @@ the greatest of its links. It is given for two speeds of the person:
 
 - *walking in*: 1.6 m/s towards the robot at all times, which the standard
   asks for where the person's speed is not monitored;
-- *as reckoned*: the directed speed of the person as the monitor had it, which
+- *as monitored*: the directed speed of the person as the monitor had it, which
   the standard allows where it is monitored. Only Vo does that. A link that is
   clear measures no speed: the monitor then assumes V_hmax, and so does this.
   It is therefore also given *as measured*, over the links that measure a
-  distance only; of the rest it says nothing. (Where a link has just begun to
-  measure, its speed is an assumed one for one frame still.)
+  distance only, and then says nothing about the others. (In the first frame
+  of a measurement the speed is still the assumed one.)
 
-Ticks before the end of start-up do not count, nor links of which nothing was
-known.
+Neither ticks before the end of start-up nor links without any data count.
 """
 
 import dataclasses as dc
@@ -61,7 +60,7 @@ def make_audit_metadata(
 
 @dc.dataclass(frozen=True, kw_only=True)
 class Shortfall:
-    """By how much d_C was shorter than S_p, over the ticks that count."""
+    """How much shorter than S_p d_C was, over the ticks that count."""
 
     values: np.ndarray
     """Of each tick, m, (k,), in order; negative: d_C was longer."""
@@ -90,7 +89,7 @@ class Shortfall:
 
 @dc.dataclass(frozen=True, kw_only=True)
 class Audit:
-    """What the standards say of a run."""
+    """What the standards say about a run."""
 
     walking_in: Shortfall
     as_reckoned: Shortfall
@@ -104,9 +103,9 @@ class Audit:
     latency: dict[str, float]
     """Parts of the worst latency by name, s."""
     T_R: float
-    """Reaction time that the law reckons with, s."""
+    """Reaction time that the law assumes, s."""
     T_stop: float
-    """Stopping time that the law reckons with, s."""
+    """Stopping time that the law assumes, s."""
     tcp_speed: float
     """Highest speed of the tool, m/s."""
     stop_time: float

@@ -429,12 +429,12 @@ def check_folder(folder: Path, plan: Plan) -> None:
     for path in folders:
         require(
             path.is_dir() or not os.path.lexists(path),
-            f"--out: can not write into {folder}: {path} is no folder",
+            f"--out: cannot write into {folder}: {path} is not a folder",
         )
     for name in (_PLAN_FILE, "results.parquet", "report.html"):
         require(
             not (folder / name).is_dir(),
-            f"--out: can not write into {folder}: {folder / name} is a folder",
+            f"--out: cannot write into {folder}: {folder / name} is a folder",
         )
 
 
@@ -479,14 +479,14 @@ def open_folder(folder: Path, plan: Plan) -> None:
     """Makes the folder of a campaign, with its plan in it.
 
     Raises:
-        UserError: It can not be written.
+        UserError: It cannot be written.
     """
     text = json.dumps(describe_plan(plan), indent=2) + "\n"
     try:
         (Path(folder) / "runs").mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise UserError(
-            f"--out: can not write into {folder}: {error.strerror}"
+            f"--out: cannot write into {folder}: {error.strerror}"
         ) from None
     write_atomically(
         Path(folder) / _PLAN_FILE, lambda p: p.write_text(text, "utf-8")
@@ -510,7 +510,7 @@ def store_run(
         files: Contents by file name.
 
     Raises:
-        UserError: The folder can not be written.
+        UserError: The folder cannot be written.
     """
     where = get_run_folder(folder, run)
     where.mkdir(parents=True, exist_ok=True)
@@ -526,7 +526,7 @@ def read_rows(folder: Path, plan: Plan) -> dict[str, dict]:
     """Returns the rows of the finished runs by the runs' keys.
 
     Raises:
-        UserError: A row can not be read, or is another run's.
+        UserError: A row cannot be read, or is another run's.
     """
     rows = {}
     for run in plan.list_runs():
@@ -537,7 +537,7 @@ def read_rows(folder: Path, plan: Plan) -> dict[str, dict]:
             except (OSError, ValueError, pa.ArrowException) as error:
                 reason = str(error).splitlines()[0]
                 raise UserError(
-                    f"{path}: can not be read ({reason}); remove it to have "
+                    f"{path}: cannot be read ({reason}); remove it to have "
                     "the run repeated"
                 ) from None
             wrong = [
