@@ -638,7 +638,7 @@ def make_audit_section(samples: Samples) -> dict | None:
 
     Returns:
         `shortfall` rows, `sentences`, `latency` rows and its `total`; None if
-        the run can not be audited.
+        the run cannot be audited.
     """
     audit = calc_audit(samples)
     if audit is None or not len(audit.walking_in.values):

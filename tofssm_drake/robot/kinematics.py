@@ -1,8 +1,8 @@
 """Closed-form kinematics of the UR10: where its rings and its tool are.
 
 A MultibodyPlant answers the same questions (and the tests hold both to 1e-9
-of each other); this module answers in a microsecond, which is what a monitor
-needs that asks for each sensor's own sample time.
+of each other); this module answers in a microsecond, as needed by a monitor
+that asks for every sensor's own sample time.
 """
 
 import dataclasses as dc

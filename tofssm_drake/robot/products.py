@@ -1,9 +1,9 @@
 """Where the products are: on the table, in the gripper or in the box.
 
-A pure function of what a real robot tells as well: how many products it has
+A pure function of what a real robot also reports: how many products it has
 placed (a register), whether its gripper is closed (a digital output), and its
-joints. Hence one and the same function poses the products of the simulated
-cell and those of the monitor's twin.
+joints. Hence the same function poses the products of the simulated cell and
+those of the monitor's twin.
 """
 
 import dataclasses as dc
@@ -112,7 +112,7 @@ def write_free_body_positions(X, positions):
         positions: Written, (n, 7).
     """
     for i in range(X.shape[0]):
-        # The largest of the four squares keeps the division well behaved.
+        # Dividing by the largest of the four components is well conditioned.
         r = X[i]
         trace = r[0, 0] + r[1, 1] + r[2, 2]
         largest = 0
@@ -198,7 +198,7 @@ def calc_product_positions(
 
     Args:
         layout: Slots.
-        kinematics: Of the robot; tells where its tool is.
+        kinematics: Of the robot; gives the pose of its tool.
         q: Joint angles, rad, (6,).
         gripper_closed: More than 0.5 is closed.
         products_placed: How many products were let go of in the box.
@@ -222,7 +222,7 @@ def calc_product_positions(
 
 
 class ProductCarrier(LeafSystem):
-    """Tells where the products are, as positions of free bodies.
+    """Outputs where the products are, as positions of free bodies.
 
     .. pydrake_system::
 
