@@ -157,28 +157,22 @@ def calc_audit(samples: Samples) -> Audit | None:
     columns = [f"{link}_link_closing_speed" for link in samples.rings]
     if not about or any(name not in samples for name in columns):
         return None
-    start = find_start(samples["robot_state"])
     periods = calc_periods(samples["t"])
     v_r = samples.ring("link_closing_speed")
     d_C = samples.ring("d_C")
     is_known = np.isfinite(d_C) & (samples.ring("sequence") >= 0)
-    is_known[:start] = False
-    v_h = samples.ring("closing_speed") - v_r
+    is_known[: find_start(samples["robot_state"])] = False
     measures = np.isfinite(samples.ring("measured_distance"))
 
-    def calc_S_p(v_h):
-        return calc_protective_distance(
-            v_h=v_h,
-            v_r=v_r,
-            T_R=about["T_R"],
-            T_S=about["T_stop"],
-            C=about["C_dC"],
-        )
+    def find_shortfall(v_h, counts):
+        S_p = _calc_S_p(about, v_h, v_r)
+        return _find_shortfall(samples, periods, counts, S_p, v_h)
 
-    S_p = calc_S_p(about["V_h"])
+    walking_in = np.full(v_r.shape, about["V_h"])
+    monitored = samples.ring("closing_speed") - v_r
     inside = (
         is_known
-        & (samples.ring("true_distance") < S_p)
+        & (samples.ring("true_distance") < _calc_S_p(about, walking_in, v_r))
         & (samples["robot_state"] != RobotState.STOP)[:, None]
     ).any(axis=1)
     speed = samples["tcp_speed"]
@@ -186,19 +180,9 @@ def calc_audit(samples: Samples) -> Audit | None:
     slow = calc_ur10_stop_time(speed) > about["T_stop"]
     total = periods.sum()
     return Audit(
-        walking_in=_find_shortfall(
-            samples,
-            periods,
-            is_known,
-            S_p,
-            np.full(S_p.shape, about["V_h"]),
-        ),
-        as_reckoned=_find_shortfall(
-            samples, periods, is_known, calc_S_p(v_h), v_h
-        ),
-        measuring=_find_shortfall(
-            samples, periods, is_known & measures, calc_S_p(v_h), v_h
-        ),
+        walking_in=find_shortfall(walking_in, is_known),
+        as_reckoned=find_shortfall(monitored, is_known),
+        measuring=find_shortfall(monitored, is_known & measures),
         monitors_person=bool(about["monitors_person"]),
         inside=float(periods[inside].sum()),
         latency=dict(about["latency_s"]),
@@ -207,6 +191,17 @@ def calc_audit(samples: Samples) -> Audit | None:
         tcp_speed=highest,
         stop_time=float(calc_ur10_stop_time(highest)),
         slow_share=float(periods[slow].sum() / total) if total else np.nan,
+    )
+
+
+def _calc_S_p(about, v_h, v_r):
+    """Returns protective separation distances, m, with the law's numbers."""
+    return calc_protective_distance(
+        v_h=v_h,
+        v_r=v_r,
+        T_R=about["T_R"],
+        T_S=about["T_stop"],
+        C=about["C_dC"],
     )
 
 

@@ -323,25 +323,14 @@ def make_plan(
         f"--trials: {trials} must be from 1 to 1000",
     )
     require(0 <= seed < 2**32, f"--seed: {seed} must be from 0 to {2**32 - 1}")
-    cells = [
+    plain = [
         Cell(sensing=sensing, configuration=configuration)
         for sensing in sensings
         for configuration in configurations
     ]
-    plain = list(cells)
-    for key in variants:
-        studied = [
-            dc.replace(cell, variant=key)
-            for cell in plain
-            if VARIANTS[key].covers(cell.sensing, cell.configuration)
-        ]
-        require(
-            len(studied) > 0,
-            f"--study: {key} needs one of the sensings "
-            f"{', '.join(VARIANTS[key].sensings)} with one of the "
-            f"configurations {', '.join(VARIANTS[key].configurations)}",
-        )
-        cells += studied
+    cells = plain + [
+        cell for key in variants for cell in _list_studied(key, plain)
+    ]
     return Plan(
         seed=seed,
         cells=tuple(cells),
@@ -350,6 +339,23 @@ def make_plan(
         motions=dict(motions or {}),
         versions=dict(versions or {}),
     )
+
+
+def _list_studied(key, cells):
+    """Returns the cells that a study adds to some cells, at least one."""
+    variant = VARIANTS[key]
+    studied = [
+        dc.replace(cell, variant=key)
+        for cell in cells
+        if variant.covers(cell.sensing, cell.configuration)
+    ]
+    require(
+        len(studied) > 0,
+        f"--study: {key} needs one of the sensings "
+        f"{', '.join(variant.sensings)} with one of the configurations "
+        f"{', '.join(variant.configurations)}",
+    )
+    return studied
 
 
 def list_studies(sensings: list[str], configurations: list[str]) -> list[str]:

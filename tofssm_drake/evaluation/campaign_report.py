@@ -775,8 +775,6 @@ def make_campaign_report(
     """
     found = check_claims(results)
     plain = [cell for cell in results.cells if not cell.variant]
-    pairs = list_pairs(results)
-    compared = [_BY_NAME[name] for name in _COMPARED]
     sensings = list(dict.fromkeys(cell.sensing for cell in plain))
     return render_page(
         "campaign.html.jinja",
@@ -785,39 +783,10 @@ def make_campaign_report(
         verdict=make_verdict(results, found, failures),
         claims=[make_claim_row(claim) for claim in found],
         pictures=pictures,
-        tables={
-            name: make_cell_table(results, plain, metrics)
-            for name, metrics in METRICS.items()
-        },
-        radar_table=make_cell_table(
-            results,
-            plain,
-            [
-                column
-                for _, curves in campaign_figures.RADARS
-                for metric, _ in curves
-                for column in _add_count(_BY_NAME[metric])
-            ],
-        ),
-        audit=make_cell_table(results, plain, AUDIT_METRICS),
-        # A law that does not monitor the person's speed must not rely on it.
-        monitored=make_cell_table(
-            results,
-            [cell for cell in plain if cell.configuration == "vo"],
-            MONITORED_METRICS,
-        ),
-        has_audit=any(
-            results.estimate(cell, AUDIT_METRICS[0].name).count
-            for cell in plain
-        ),
+        **_make_tables(results, plain),
         latencies=make_latency_table(latencies),
         sensings=[(s, campaign_figures.SENSING_NAME[s]) for s in sensings],
         parameters=parameters,
-        differences={
-            name: make_difference_table(results, rows, compared)
-            for name, rows in pairs.items()
-            if rows
-        },
         studies=list(VARIANTS.values()),
         studied=describe_studies(results),
         people=_make_people(plan),
@@ -828,6 +797,37 @@ def make_campaign_report(
         seed=plan.seed,
         failures=failures,
     )
+
+
+def _make_tables(results, plain):
+    """Returns the tables of the report by the template's names."""
+    radar_metrics = [
+        column
+        for _, curves in campaign_figures.RADARS
+        for metric, _ in curves
+        for column in _add_count(_BY_NAME[metric])
+    ]
+    # A law that does not monitor the person's speed must not rely on it.
+    monitored = [cell for cell in plain if cell.configuration == "vo"]
+    shortfall = AUDIT_METRICS[0].name
+    compared = [_BY_NAME[name] for name in _COMPARED]
+    return {
+        "tables": {
+            name: make_cell_table(results, plain, metrics)
+            for name, metrics in METRICS.items()
+        },
+        "radar_table": make_cell_table(results, plain, radar_metrics),
+        "audit": make_cell_table(results, plain, AUDIT_METRICS),
+        "monitored": make_cell_table(results, monitored, MONITORED_METRICS),
+        "has_audit": any(
+            results.estimate(cell, shortfall).count for cell in plain
+        ),
+        "differences": {
+            name: make_difference_table(results, rows, compared)
+            for name, rows in list_pairs(results).items()
+            if rows
+        },
+    }
 
 
 def describe_studies(results: Results) -> str:

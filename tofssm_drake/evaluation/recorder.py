@@ -268,6 +268,22 @@ class MessageLog(LeafSystem):
                     )
 
 
+def _lay_out_truth(truth, layout):
+    """Yields name and values of the columns of contacts and places."""
+    yield "contact_speed", truth[:, layout.contact_speed]
+    yield "robot_body", truth[:, layout.robot_body]
+    yield "person_part", truth[:, layout.person_part]
+    for part, where in (
+        ("robot_point", layout.p_WR),
+        ("person_point", layout.p_WH),
+        ("tcp", layout.p_WT),
+        ("person", layout.person),
+    ):
+        # The person's place has x and y only.
+        for axis, values in zip("xyz", truth[:, where].T, strict=False):
+            yield f"{part}_{axis}", values
+
+
 class SampleRecorder(Diagram):
     """Records the run, one row per control tick and one per ring scan.
 
@@ -406,18 +422,8 @@ class SampleRecorder(Diagram):
         for i, ring in enumerate(self._rings):
             for name in RING_COLUMNS:
                 insert(f"{ring}_{name}", per_ring[name][:, i], name)
-        insert("contact_speed", truth[:, layout.contact_speed])
-        insert("robot_body", truth[:, layout.robot_body])
-        insert("person_part", truth[:, layout.person_part])
-        for part, where in (
-            ("robot_point", layout.p_WR),
-            ("person_point", layout.p_WH),
-            ("tcp", layout.p_WT),
-        ):
-            for axis, values in zip("xyz", truth[:, where].T, strict=True):
-                insert(f"{part}_{axis}", values)
-        insert("person_x", truth[:, layout.person.start])
-        insert("person_y", truth[:, layout.person.start + 1])
+        for name, values in _lay_out_truth(truth, layout):
+            insert(name, values)
         column["reason"] = reasons
         scan = {}
         if self._num_sensors:

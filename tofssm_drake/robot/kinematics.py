@@ -237,11 +237,6 @@ class RingKinematics:
         """Returns X_WT (3, 4), the pose of the tool centre point in world."""
         return self.calc_sites(q, np.zeros(len(q)))[0][-1]
 
-    def calc_tcp_speed(self, q: np.ndarray, qd: np.ndarray) -> float:
-        """Returns the speed of the tool centre point in world, m/s."""
-        v = self.calc_sites(q, qd)[1][-1]
-        return float(np.sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2]))
-
 
 def _find_link(plant: MultibodyPlant, body, bodies: list) -> int:
     """Returns which link of the chain a body is, or is welded to."""

@@ -611,10 +611,6 @@ class PickAndPlaceProgram(LeafSystem):
         """The nominal motion."""
         return self._path
 
-    def get_path_time(self, context: Context) -> float:
-        """Returns path time at the last tick, s."""
-        return float(context.get_discrete_state(self._progress).value()[0])
-
     def _calc_motion(self, context: Context, output: BasicVector) -> None:
         calc_motion_commanded(
             self._path.start,
