@@ -19,11 +19,11 @@ def replay(
         ),
     ],
 ) -> int:
-    """Run the monitor on a record, and compare everything it outputs.
+    """Run the monitor on a record again and compare its results.
 
-    The exit code is 1 if any output differs, or if the record is damaged. A
-    record that ends early, as when the process was killed, is replayed as far
-    as it goes.
+    The exit code is 1 if a result differs or if the record is damaged. A
+    record that ends early, for example because the process was killed, is
+    replayed as far as it goes.
     """
     reader = RunReader(file)
     result = replay_record(reader)

@@ -130,6 +130,8 @@ def calc_confidence_ellipse(x, y) -> Ellipse | None:
 def calc_rate_bound(runs: int, confidence: float = CONFIDENCE) -> float:
     """Returns the highest rate per run consistent with no event in any run.
 
+    The exact (Clopper-Pearson) upper bound, one-sided.
+
     Args:
         runs: Number of runs, at least 1.
         confidence: One-sided.
