@@ -344,7 +344,7 @@ NO_RINGS = ("--sensing", "lidar")
 BAD_INPUT = {
     "no_folder": (("--out", ""), "must not be empty"),
     "study_twice": (("--study", "all", "--study", "all"), "names one of them"),
-    "none_and_more": (("--study", "none", "--study", "late"), "none goes with"),
+    "none_and_more": (("--study", "none", "--study", "late"), "none excludes"),
     "no_cell": (
         (*NO_RINGS, "--study", "exact"),
         "--study: exact needs one of the sensings tof with one of the config",
@@ -448,7 +448,7 @@ class TestBadInput:
             assert run_in_process(*SMALL, "--out", out, report=True) == 2
             (line,) = capfd.readouterr().err.splitlines()
             assert line.startswith("tofssm: --out: cannot write into")
-            assert f"{path} is no folder" in line
+            assert f"{path} is not a folder" in line
         assert list_tree(tmp_path) == before
 
     @pytest.mark.parametrize(
