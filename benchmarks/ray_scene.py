@@ -31,11 +31,10 @@ from tofssm_drake.human.skeleton import calc_capsule_poses
 from tofssm_drake.human.walk import make_walk
 from tofssm_drake.messages import RINGS
 from tofssm_drake.robot.kinematics import RingKinematics
-from tofssm_drake.robot.products import ProductLayout
+from tofssm_drake.robot.products import ProductLayout, calc_product_positions
 from tofssm_drake.robot.program import make_program_path
 from tofssm_drake.robot.twin import (
     TwinPoses,
-    calc_twin_positions,
     make_twin_plant,
 )
 from tofssm_drake.sensing.ring_mount import find_ring_mount
@@ -129,12 +128,13 @@ class Scene:
                 person_poses.set_value(
                     frame_id, RigidTransform.MakeUnchecked(pose)
                 )
+            products = calc_product_positions(
+                layout=layout, kinematics=kinematics, **reported
+            )
             self.states.append(
                 State(
                     ends=ends,
-                    positions=calc_twin_positions(
-                        layout=layout, kinematics=kinematics, **reported
-                    ),
+                    positions=np.append(reported["q"], products),
                     person_poses=person_poses,
                     **reported,
                 )

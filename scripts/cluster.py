@@ -16,11 +16,11 @@ from tofssm_drake.errors import UserError
 TIMEOUT = 10.0
 """How long to wait for an answer of a scheduler, s."""
 _SETTINGS = {
-    # A simulation may hold Python's lock for a while: that is no fault.
+    # A simulation may hold Python's lock for a while; that is not a fault.
     "distributed.admin.tick.limit": "1h",
-    # It looks a hundred times a second at what runs, which slows that down.
+    # The profiler samples a hundred times a second, which slows the runs.
     "distributed.worker.profile.enabled": False,
-    # A worker that died takes its run with it, and no other.
+    # A worker that dies loses its own run and no other.
     "distributed.scheduler.allowed-failures": 1,
 }
 
@@ -32,22 +32,22 @@ def connect(
     workers: int | None = None,
     scratch: Path,
 ) -> Iterator[Client]:
-    """Connects to a cluster for the time of a `with`.
+    """Connects to a cluster for the duration of a `with`.
 
     Args:
         scheduler: Address of a Dask scheduler, e.g. tcp://10.0.0.1:8786;
             None starts worker processes on this machine, and ends them.
-        workers: How many processes then; None: as many as there are cores.
-        scratch: Folder for what these processes need while they run; gone
+        workers: Number of these processes; None: one per core.
+        scratch: Folder for what these processes need while they run; removed
             afterwards.
 
     Yields:
         A Dask client.
 
     Raises:
-        UserError: Nobody answers there, nobody works there, or the workers
-            have other versions of what results depend on, or the folder
-            can not be made.
+        UserError: No scheduler answers, it has no workers, the workers have
+            other versions of what results depend on, or the folder cannot be
+            made.
     """
     with dask.config.set(_SETTINGS):
         if scheduler is None:
@@ -62,8 +62,8 @@ def connect(
                     host="127.0.0.1",
                     dashboard_address="127.0.0.1:0",
                     silence_logs=logging.CRITICAL,
-                    # A killed process can not tidy up: whatever it leaves is
-                    # in the folder, and gone with it.
+                    # A killed process cannot tidy up: what it leaves is in the
+                    # folder and goes with it.
                     local_directory=folder,
                     env={"TMPDIR": folder},
                 ) as cluster,
@@ -82,7 +82,7 @@ def _make_scratch(path):
         path.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise UserError(
-            f"--out: can not write into {path.parent}: {error.strerror}"
+            f"--out: cannot write into {path.parent}: {error.strerror}"
         ) from None
     try:
         yield str(path.resolve())
@@ -102,7 +102,7 @@ def _connect_to(scheduler):
 
 
 def _check_workers(client, scheduler):
-    """Raises UserError unless somebody works there who gives our results."""
+    """Raises UserError unless there are workers with our versions."""
     try:
         theirs = client.run(get_versions)
     except ImportError as error:
@@ -127,16 +127,16 @@ def _check_workers(client, scheduler):
 def call_all(
     client: Client, function: Callable, calls: dict[str, tuple]
 ) -> Iterator[tuple[str, object, BaseException | None]]:
-    """Calls a function with many arguments, as far as possible at once.
+    """Calls a function with many sets of arguments, in parallel.
 
     Args:
         client: From `connect`.
         function: What to call; importable by the workers.
-        calls: Arguments by name.
+        calls: Arguments by name of the call.
 
     Yields:
-        (name, result, None) or (name, None, error), as they come. Nothing is
-        kept of what was yielded.
+        (name, result, None) or (name, None, error), as they come. Results are
+        not kept.
     """
     names = {}
     for priority, (name, arguments) in enumerate(calls.items()):

@@ -3,6 +3,7 @@
 from collections.abc import Iterator
 import contextlib
 import copy
+import dataclasses as dc
 import hashlib
 from pathlib import Path
 import shlex
@@ -11,6 +12,7 @@ import sys
 import time
 from typing import Annotated
 
+from distributed import Client
 from rich.console import Console
 from rich.progress import (
     BarColumn,
@@ -145,39 +147,63 @@ def experiments(
         workers is None or 1 <= workers <= 1000,
         f"--workers: {workers} must be from 1 to 1000",
     )
+    campaign = Campaign(out=out, plan=plan, scenario=scenario, motions=motions)
     enter_folder(out, plan)
-    rows = read_rows(out, plan)
-    missing = [r for r in plan.list_runs() if r.key not in rows]
-    failures = {}
+    command = make_command(sys.argv[1:], study, studies)
     try:
         with interrupt_on_sigterm():
-            if missing:
-                with connect(
-                    scheduler, workers=workers, scratch=get_scratch(out)
-                ) as client:
-                    open_folder(out, plan)
-                    failures = run_missing(
-                        client, out, plan, missing, scenario, motions
-                    )
-            report = write_all(
-                out,
-                plan,
-                scenario,
-                failures,
-                command=make_command(sys.argv[1:], study, studies),
-            )
+            failures = run_campaign(campaign, scheduler, workers)
+            report = write_all(campaign, failures, command=command)
     except KeyboardInterrupt:
         print(
-            "tofssm: interrupted; the same command goes on from here",
+            "tofssm: interrupted; run the same command again to continue",
             file=sys.stderr,
         )
         return 130
     return tell(report, failures)
 
 
+@dc.dataclass(frozen=True, eq=False, kw_only=True)
+class Campaign:
+    """What to run, and where its results go."""
+
+    out: Path
+    """The folder."""
+    plan: Plan
+    scenario: Scenario
+    """What all runs have in common."""
+    motions: dict[str, bytes]
+    """Recordings by file name."""
+
+
+def run_campaign(
+    campaign: Campaign, scheduler: str | None, workers: int | None
+) -> dict[str, str]:
+    """Makes the runs that are not finished yet.
+
+    Args:
+        campaign: The campaign.
+        scheduler: See `connect`.
+        workers: See `connect`.
+
+    Returns:
+        What went wrong, by the label of the run.
+    """
+    out, plan = campaign.out, campaign.plan
+    rows = read_rows(out, plan)
+    missing = [r for r in plan.list_runs() if r.key not in rows]
+    if not missing:
+        return {}
+    with connect(
+        scheduler, workers=workers, scratch=get_scratch(out)
+    ) as client:
+        open_folder(out, plan)
+        return run_missing(client, campaign, missing)
+
+
 @contextlib.contextmanager
 def interrupt_on_sigterm() -> Iterator[None]:
-    """Takes SIGTERM as Ctrl-C, so that no half of a file is left behind."""
+    """Treats SIGTERM as Ctrl-C, so that no half-written file is left."""
 
     def interrupt(number, frame):
         raise KeyboardInterrupt
@@ -190,25 +216,19 @@ def interrupt_on_sigterm() -> Iterator[None]:
 
 
 def write_all(
-    out: Path,
-    plan: Plan,
-    scenario: Scenario,
-    failures: dict[str, str],
-    *,
-    command: str,
+    campaign: Campaign, failures: dict[str, str], *, command: str
 ) -> Path:
-    """Writes the table and the report of the runs that are there.
+    """Writes the table and the report of the finished runs.
 
     Args:
-        out: The campaign's folder.
-        plan: The campaign's.
-        scenario: What all runs have in common.
+        campaign: The campaign.
         failures: Reason by the label of the run that failed.
         command: What makes the campaign again.
 
     Returns:
         The report's path.
     """
+    out, plan = campaign.out, campaign.plan
     with Console(stderr=True).status("writing the report"):
         results = make_results(plan, read_rows(out, plan))
         write_results(out, results)
@@ -216,7 +236,7 @@ def write_all(
             out,
             plan=plan,
             rows=results,
-            parameters=list_parameters(scenario, plan),
+            parameters=list_parameters(campaign.scenario, plan),
             command=command,
             failures=failures,
         )
@@ -226,18 +246,18 @@ def choose_studies(names: list[str] | None, possible: list[str]) -> list[str]:
     """Returns which studies are run.
 
     Args:
-        names: As given; None: not at all, which takes the literal law.
-        possible: Those that have a cell in this campaign. Only they are in
-            `all`; what is asked for by its name is not left out.
+        names: As given; None: not given, which means the literal law.
+        possible: Studies that have a cell in this campaign. `all` means
+            these; a study asked for by name is never left out.
 
     Raises:
-        UserError: `none` is not alone, or a name is there twice.
+        UserError: `none` is not alone, or a name is given twice.
     """
     if names is None:
         return [name for name in possible if name == "literal"]
     require(
         "none" not in names or names == ["none"],
-        "--study: none goes with no other study",
+        "--study: none excludes any other study",
     )
     if names == ["none"]:
         return []
@@ -257,18 +277,18 @@ def make_command(
     """Returns the command that makes the campaign again.
 
     Args:
-        arguments: Of this one.
-        asked: Studies that these name; None: they name none.
-        studies: Those that are run, told in any case.
+        arguments: Of this command.
+        asked: Studies that they name; None: none.
+        studies: The studies that are run; always named in the result.
     """
-    told = []
+    added = []
     if asked is None:
-        told = [part for s in studies or ["none"] for part in ("--study", s)]
-    return shlex.join(["tofssm", *arguments, *told])
+        added = [part for s in studies or ["none"] for part in ("--study", s)]
+    return shlex.join(["tofssm", *arguments, *added])
 
 
 def require_free(scenario: Scenario) -> None:
-    """Raises UserError if a setting is changed that cells or trials decide."""
+    """Raises UserError if the text changes what cells or trials decide."""
     default = load_scenario()
     human = copy.deepcopy(default.human)
     human.figure_eight = getattr(scenario.human, "figure_eight", None)
@@ -292,8 +312,8 @@ def read_motions(folder: Path | None, scenario: Scenario) -> dict[str, bytes]:
     """Returns the recordings in a folder by file name.
 
     Args:
-        folder: None: none.
-        scenario: Tells the control tick.
+        folder: None: no recordings.
+        scenario: Has the control tick.
 
     Raises:
         UserError: There are none, or nobody walks in one of them.
@@ -304,8 +324,8 @@ def read_motions(folder: Path | None, scenario: Scenario) -> dict[str, bytes]:
     paths = sorted(p for p in folder.iterdir() if p.suffix.lower() == ".bvh")
     require(len(paths) > 0, f"--human-motions: no .bvh files are in {folder}")
     for path in paths:
-        # A pipe would be waited for.
-        require(path.is_file(), f"--human-motions: {path} is no file")
+        # Reading a pipe would block.
+        require(path.is_file(), f"--human-motions: {path} is not a file")
         make_bvh_motion(
             BvhRecording(filename=str(path)), scenario.control_period
         )
@@ -313,34 +333,27 @@ def read_motions(folder: Path | None, scenario: Scenario) -> dict[str, bytes]:
 
 
 def run_missing(
-    client,
-    out: Path,
-    plan: Plan,
-    missing: list[PlannedRun],
-    scenario: Scenario,
-    motions: dict[str, bytes],
+    client: Client, campaign: Campaign, missing: list[PlannedRun]
 ) -> dict[str, str]:
-    """Runs what is not there yet and stores each run as it comes.
+    """Makes runs and stores each one as it comes.
 
     Args:
         client: From `connect`.
-        out: The campaign's folder.
-        plan: The campaign's.
+        campaign: The campaign.
         missing: The runs to do.
-        scenario: What all runs have in common.
-        motions: Recordings by file name.
 
     Returns:
         What went wrong, by the label of the run.
     """
+    plan = campaign.plan
     total = len(plan.list_runs())
     calls = {}
-    # The longest runs first, so that all workers are done at the same time:
-    # a lidar at the base stops the robot most.
+    # The longest runs first, so that all workers finish at the same time: a
+    # lidar at the base stops the robot most.
     for planned in sorted(missing, key=lambda r: r.cell.sensing != "lidar"):
         name = plan.find_motion(planned)
-        motion = None if name is None else (name, motions[name])
-        calls[planned.key] = scenario, planned, motion
+        motion = None if name is None else (name, campaign.motions[name])
+        calls[planned.key] = campaign.scenario, planned, motion
     by_key = {planned.key: planned for planned in missing}
     failures = {}
     start = time.perf_counter()
@@ -352,7 +365,7 @@ def run_missing(
         for key, outcome, error in call_all(client, execute, calls):
             planned = by_key[key]
             if error is None:
-                store_run(out, planned, outcome.row, outcome.files)
+                store_run(campaign.out, planned, outcome.row, outcome.files)
                 simulated += outcome.simulated
             else:
                 reason = " ".join(str(error).split()) or type(error).__name__
@@ -368,7 +381,7 @@ def run_missing(
 
 
 def make_progress_bar() -> Progress:
-    """Returns a bar of runs with the time left."""
+    """Returns a progress bar of runs with the time left."""
     return Progress(
         TextColumn("runs"),
         BarColumn(),

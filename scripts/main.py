@@ -14,8 +14,8 @@ from tofssm_drake.errors import UserError
 def leave_at_once() -> Iterator[None]:
     """Lets Ctrl-C end the process with one line and code 130.
 
-    For the time of importing: an exception in the midst of it comes out of
-    a library as an ImportError of its own.
+    For the imports: an exception raised during them comes out of a library
+    as an ImportError.
     """
 
     def leave(number, frame):
@@ -32,7 +32,7 @@ def leave_at_once() -> Iterator[None]:
 def abort_on_interrupt(command):
     """Returns a command whose KeyboardInterrupt keeps its message.
 
-    Typer would make an exit code of it and say nothing.
+    Typer would turn it into an exit code and print nothing.
     """
     import typer
 
@@ -49,8 +49,8 @@ def abort_on_interrupt(command):
 def make_app():
     """Makes the command with its subcommands, a `typer.Typer`.
 
-    They are imported here and not above: it takes a second, in which Ctrl-C
-    has to work as well.
+    They are imported here and not above, because it takes seconds in which
+    Ctrl-C has to work too.
     """
     import typer
 

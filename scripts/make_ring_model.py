@@ -14,7 +14,7 @@ import tofssm_drake.models as models
 
 @dc.dataclass(frozen=True, kw_only=True)
 class RingPlace:
-    """Where a ring sits."""
+    """Where a ring is mounted."""
 
     name: str
     link: str
@@ -113,7 +113,7 @@ def make_ring_directives(sensors_per_ring: int) -> str:
 
 
 def main() -> None:
-    """Writes the files that ship."""
+    """Writes the shipped files."""
     folder = models.find_package_xml().parent / "rings"
     if len(sys.argv) > 1:
         folder = pathlib.Path(sys.argv[1])

@@ -1,4 +1,4 @@
-"""Options of the command line that several commands share."""
+"""Command line options that several commands share."""
 
 from collections.abc import Iterator
 import contextlib
@@ -15,7 +15,7 @@ from tofssm_drake.hardware.rtde_config import RtdeConfig
 
 
 def parse_path(text: str) -> Path:
-    """Returns the path; an empty one would pass for the current folder."""
+    """Returns the path; an empty one would mean the current folder."""
     if not str(text):
         raise typer.BadParameter("must not be empty")
     return Path(text)
@@ -66,14 +66,14 @@ ChecksText = Annotated[
 
 
 def make_robot_checks(text: str, *, allow_no_pose: bool) -> RobotChecks:
-    """Returns how the robot is checked, checked itself.
+    """Returns the settings of the robot's checks, validated.
 
     Args:
         text: --checks-text.
         allow_no_pose: --allow-no-pose.
 
     Raises:
-        UserError: A setting is unknown, out of range or another option's.
+        UserError: A setting is unknown, out of range or has its own option.
     """
     checks = change_settings(
         RobotChecks(), text, source="--checks-text", where="checks"
@@ -90,7 +90,7 @@ def make_robot_checks(text: str, *, allow_no_pose: bool) -> RobotChecks:
 def make_robot_config(
     host: str, port: int, text: str, *, write: bool
 ) -> RtdeConfig:
-    """Returns how to talk to the robot, checked.
+    """Returns the settings of the connection to the robot, validated.
 
     Args:
         host: --robot-host.
@@ -99,7 +99,7 @@ def make_robot_config(
         write: Whether to claim slider and heartbeat.
 
     Raises:
-        UserError: A setting is unknown, out of range or another option's.
+        UserError: A setting is unknown, out of range or has its own option.
     """
     settings = change_settings(
         RtdeConfig(), text, source="--robot-text", where="robot"
@@ -121,10 +121,10 @@ def make_robot_config(
 
 @contextlib.contextmanager
 def blame(option: dict[str, str]) -> Iterator[None]:
-    """Names the option where a setting is refused that came from one.
+    """Names the option, not the setting, where a setting is refused.
 
     Args:
-        option: By the setting that a refusal begins with.
+        option: Option by the setting that the message begins with.
     """
     try:
         yield

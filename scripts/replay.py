@@ -1,4 +1,4 @@
-"""`tofssm replay`: runs the monitor once more on what was recorded."""
+"""`tofssm replay`: runs the monitor again on a recorded run."""
 
 from pathlib import Path
 from typing import Annotated

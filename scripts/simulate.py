@@ -52,7 +52,7 @@ RESULTS = (
     "samples.parquet",
     "scans.parquet",
 )
-"""What a run leaves in its folder."""
+"""Files that a run leaves in its folder."""
 
 
 def simulate(
@@ -117,7 +117,8 @@ def simulate(
     with options.blame(option if sensors_per_ring is not None else {}):
         workcell = make_workcell(scenario, meshcat=display)
     coverage = tell_self_hit_coverage(scenario)
-    # Whatever a user can get wrong is known by now: nothing is written before.
+    # All that a user can get wrong is checked by now; nothing is written
+    # before.
     make_folder(out)
     for line in coverage:
         print(f"note: {line}", file=sys.stderr, flush=True)
@@ -133,52 +134,57 @@ def simulate(
         raise KeyboardInterrupt(
             "interrupted; nothing of this run was written"
         ) from None
-    title = describe_run(
-        scenario_name,
-        {
-            "scenario-text": scenario_text or None,
-            "ssm": ssm and ssm.lower(),
-            "sensing": sensing and sensing.lower(),
-            "sensors-per-ring": sensors_per_ring,
-            "human-motion": human_motion,
-            "seed": seed,
-            "duration": None if duration is None else f"{duration:g} s",
-        },
-    )
+    changes = {
+        "scenario-text": scenario_text or None,
+        "ssm": ssm and ssm.lower(),
+        "sensing": sensing and sensing.lower(),
+        "sensors-per-ring": sensors_per_ring,
+        "human-motion": human_motion,
+        "seed": seed,
+        "duration": None if duration is None else f"{duration:g} s",
+    }
     samples.metadata |= {
         "scenario_name": scenario_name,
-        "title": title,
+        "title": describe_run(scenario_name, changes),
         "command": shlex.join(["tofssm", *sys.argv[1:]]),
         "self_hit_coverage": coverage,
     }
     summary = summarize(scenario, samples, progress)
-    with (
-        tell_what_is_left(out),
-        Console(stderr=True).status("writing the report"),
-    ):
-        write_results(
-            samples,
-            summary,
-            out,
-            recording="recording.html" if recording else None,
-        )
-        if recording:
-            write_recording(
-                display,
-                out / "recording.html",
-                samples=samples,
-                title=f"tofssm_drake: {title}",
-            )
+    write_run(samples, summary, out, display=display if recording else None)
     tell(summary, out)
     return 130 if summary["interrupted"] else 0
 
 
-def describe_run(scenario_name: str, settings: dict) -> str:
-    """Returns a title: the scenario and what the command line changed.
+def write_run(
+    samples: Samples, summary: dict, out: Path, *, display: Meshcat | None
+) -> None:
+    """Writes all results of a run into a folder.
 
     Args:
-        scenario_name: Of the scenario before.
-        settings: Values by name; None where nothing was changed.
+        samples: The run.
+        summary: From `summarize`.
+        out: The folder.
+        display: Where the run was recorded; None: no recording.
+    """
+    name = "recording.html" if display else None
+    status = Console(stderr=True).status("writing the report")
+    with tell_what_is_left(out), status:
+        write_results(samples, summary, out, recording=name)
+        if display:
+            write_recording(
+                display,
+                out / name,
+                samples=samples,
+                title=f"tofssm_drake: {samples.metadata['title']}",
+            )
+
+
+def describe_run(scenario_name: str, settings: dict) -> str:
+    """Returns a title: the scenario and the changes on the command line.
+
+    Args:
+        scenario_name: Name of the scenario.
+        settings: Values by name; None: not changed.
     """
     changes = [
         f"{name} {value.name if isinstance(value, Path) else value}"
@@ -198,12 +204,12 @@ def override(
     seed: int | None = None,
     duration: float | None = None,
 ) -> None:
-    """Changes a scenario by the options of the command line.
+    """Applies the options of the command line to a scenario.
 
     Args:
         scenario: Changed in place; checked afterwards.
         ssm: Configuration of the safety law.
-        sensing: What the monitor watches the person with.
+        sensing: How the monitor watches the person.
         sensors_per_ring: Which rings.
         human_motion: BVH file; other settings of a recording are kept.
         seed: Random seed.
@@ -213,19 +219,9 @@ def override(
         UserError: A value is unknown or out of range.
     """
     if ssm is not None:
-        require(
-            ssm.lower() in CONFIGURATIONS,
-            f"--ssm: {ssm!r} is unknown, use one of "
-            f"{', '.join(CONFIGURATIONS)}",
-        )
-        scenario.ssm.configuration = ssm.lower()
+        scenario.ssm.configuration = _choose("--ssm", ssm, CONFIGURATIONS)
     if sensing is not None:
-        require(
-            sensing.lower() in SENSINGS,
-            f"--sensing: {sensing!r} is unknown, use one of "
-            f"{', '.join(SENSINGS)}",
-        )
-        scenario.sensing = sensing.lower()
+        scenario.sensing = _choose("--sensing", sensing, SENSINGS)
     changed = {}
     if sensors_per_ring is not None:
         scenario.sensors_per_ring = sensors_per_ring
@@ -245,6 +241,15 @@ def override(
         scenario.check()
 
 
+def _choose(option, value, known):
+    """Returns a known value in lower case."""
+    require(
+        value.lower() in known,
+        f"{option}: {value!r} is unknown, use one of {', '.join(known)}",
+    )
+    return value.lower()
+
+
 def make_display() -> Meshcat:
     """Makes a Meshcat that does not write its address to stderr."""
     logger = logging.getLogger("drake")
@@ -257,7 +262,7 @@ def make_display() -> Meshcat:
 
 
 def require_drawable(filename: Path | None) -> None:
-    """Raises UserError if a picture of the Diagram can not be made."""
+    """Raises UserError if a picture of the Diagram cannot be made."""
     if filename is None:
         return
     require(
@@ -279,7 +284,7 @@ def require_drawable(filename: Path | None) -> None:
             pass
     except OSError as error:
         raise UserError(
-            f"--graphviz: can not write {filename}: {error.strerror}"
+            f"--graphviz: cannot write {filename}: {error.strerror}"
         ) from None
 
 
@@ -303,10 +308,10 @@ def draw_diagram(diagram: Diagram, filename: Path) -> None:
 
 
 def make_folder(folder: Path) -> None:
-    """Makes a folder, and makes sure that files can be written into it.
+    """Makes a folder, and checks that files can be written into it.
 
     Raises:
-        UserError: They can not.
+        UserError: They cannot.
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -317,23 +322,23 @@ def make_folder(folder: Path) -> None:
                 raise IsADirectoryError(0, f"{path.name} is a folder")
     except OSError as error:
         raise UserError(
-            f"--out: can not write into {folder}: {error.strerror}"
+            f"--out: cannot write into {folder}: {error.strerror}"
         ) from None
 
 
 @contextlib.contextmanager
 def catch_stop(*, until_end: bool = False):
-    """Turns Ctrl-C, SIGTERM and SIGHUP into a flag: no row is torn apart.
+    """Turns Ctrl-C, SIGTERM and SIGHUP into a flag: no row is cut off.
 
-    SIGHUP is what a terminal that is closed sends; one that is ignored
-    (`nohup`) stays so.
+    A terminal sends SIGHUP when it is closed. A signal that is ignored, as by
+    `nohup`, stays ignored.
 
     Args:
-        until_end: Whether further signals are caught, too, until the end of
-            the block. Else a second one is not.
+        until_end: Whether to catch further signals too, until the end of the
+            block. Otherwise the second one takes effect.
 
     Yields:
-        A list that is empty until the signal came.
+        A list that is empty until a signal comes.
     """
     stopped = []
 
@@ -352,16 +357,16 @@ def catch_stop(*, until_end: bool = False):
 
 @contextlib.contextmanager
 def interrupt_on_stop(stopped: list, message: str):
-    """Lets the signals of `catch_stop` interrupt what takes long.
+    """Lets the signals of `catch_stop` interrupt a long operation.
 
     Args:
-        stopped: What `catch_stop` gave.
+        stopped: What `catch_stop` yielded.
         message: Of the KeyboardInterrupt that is raised.
     """
 
     def interrupt(number, frame):
         stopped.append(number)
-        # Another one must not disturb what the first has begun.
+        # A second one must not disturb what the first has begun.
         if len(stopped) == 1:
             raise KeyboardInterrupt
 
@@ -369,7 +374,7 @@ def interrupt_on_stop(stopped: list, message: str):
     try:
         yield
     except BaseException:
-        # A compiler in the midst of it may make another exception of it.
+        # A compiler may turn it into another exception.
         if not stopped:
             raise
     finally:
@@ -380,7 +385,7 @@ def interrupt_on_stop(stopped: list, message: str):
 
 
 def _handle_stop(handler):
-    """Sets a handler and returns those before, by signal."""
+    """Sets a handler; returns the previous ones by signal."""
     return {
         number: signal.signal(number, handler)
         for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
@@ -396,11 +401,11 @@ def run(
     Args:
         workcell: Made from the scenario.
         scenario: The scenario as run.
-        live: No faster than the clock, for watching.
+        live: Whether to run in real time, for watching.
 
     Returns:
-        What was recorded, with whether it was interrupted in its metadata,
-        and how far the run came.
+        The samples, whose metadata say whether the run was interrupted, and
+        how far it came.
     """
     with catch_stop() as stopped, make_progress_bar() as bar:
         run = Run(
@@ -408,7 +413,7 @@ def run(
             scenario=scenario,
             real_time_rate=1.0 if live else 0.0,
         )
-        # Kernels are loaded in the first step, or compiled for half a minute.
+        # The first step loads the kernels, or compiles them for half a minute.
         task = bar.add_task(
             "preparing", total=scenario.program.products, time=0.0, factor=0.0
         )
@@ -446,13 +451,13 @@ def write_results(
 ) -> None:
     """Writes summary, samples and report into a folder, each file whole.
 
-    Those of an earlier run go first, so that no folder holds two runs.
+    Those of an earlier run are removed first, so that no folder holds two.
 
     Args:
         samples: The run.
         summary: From `summarize`.
         out: The folder.
-        recording: File name of the replay to which the report leads.
+        recording: File name of the replay that the report links to.
     """
     clear_results(out)
     write_samples(samples, out)
@@ -462,32 +467,32 @@ def write_results(
 
 
 def clear_results(folder: Path) -> None:
-    """Removes what an earlier run left in its folder."""
-    # The report first: it leads to the others.
+    """Removes the results of an earlier run from its folder."""
+    # The report first: it links to the others.
     for name in RESULTS:
         try:
             (folder / name).unlink(missing_ok=True)
         except OSError as error:
             raise UserError(
-                f"--out: can not replace {folder / name}: {error.strerror}"
+                f"--out: cannot replace {folder / name}: {error.strerror}"
             ) from None
 
 
 @contextlib.contextmanager
 def tell_what_is_left(folder: Path) -> Iterator[None]:
-    """Lets Ctrl-C while results are written tell which of them are there."""
+    """Makes Ctrl-C while results are written say which of them exist."""
     try:
         yield
     except KeyboardInterrupt:
         left = [name for name in RESULTS if (folder / name).exists()]
         raise KeyboardInterrupt(
-            "interrupted while the results were written; of this run there "
-            f"is in {folder}: {', '.join(left) or 'nothing'}"
+            "interrupted while the results were written; written into "
+            f"{folder}: {', '.join(left) or 'nothing'}"
         ) from None
 
 
 def tell(summary: dict, out: Path) -> None:
-    """Prints what came of it and where the report is."""
+    """Prints the outcome and where the report is."""
     end = " until interrupted" if summary["interrupted"] else ""
     print(
         f"{count_of(summary['products_placed'], 'product')} placed in "

@@ -124,7 +124,7 @@ class TestImports(unittest.TestCase):
             *("pydrake", "jinja2", "matplotlib", "numba", "numpy"),
             *("pyarrow", "rich", "ruckig", "serial", "typer", "yaml"),
             *("collada", "dask", "distributed", "mcap", "tofssm_drake"),
-            "trimesh",
+            *("scipy", "trimesh"),
         }
         extras = {"tofssm_drake.robot.meshes": {"example_robot_data"}}
         for module, names in self.imports.items():

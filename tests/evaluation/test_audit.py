@@ -100,7 +100,7 @@ def test_nothing_is_measured():
     section = make_audit_section(run)
     assert section["sentences"][-1].startswith("In 100 % of the time")
     names = [row["name"] for row in section["shortfall"]]
-    assert names[1:] == ["as reckoned", "as measured, links that measure"]
+    assert names[1:] == ["as monitored", "as measured, links that measure"]
     assert section["shortfall"][2]["share"] == "\u2013"
     dut = mut.calc_audit(run)
     assert dut.as_reckoned.clear_share == 1.0

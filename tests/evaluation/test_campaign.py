@@ -165,7 +165,7 @@ class TestFolder(unittest.TestCase):
             (self.folder / "campaign.json").write_text(text)
             with self.subTest(text), self.assertRaises(UserError) as caught:
                 mut.enter_folder(self.folder, make_plan())
-            self.assertIn("is no campaign's plan", str(caught.exception))
+            self.assertIn("is not a campaign's plan", str(caught.exception))
 
     def test_runs_without_their_plan_are_nobodys(self):
         plan = make_plan()
@@ -230,7 +230,7 @@ class TestFolder(unittest.TestCase):
         self.folder.write_text("in the way")
         with self.assertRaises(UserError) as caught:
             mut.open_folder(self.folder, make_plan())
-        self.assertIn("--out: can not write", str(caught.exception))
+        self.assertIn("--out: cannot write", str(caught.exception))
 
 
 class TestResults(unittest.TestCase):

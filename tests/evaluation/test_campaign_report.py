@@ -496,14 +496,14 @@ class TestTables(unittest.TestCase):
         )
         labels = [label for label, _ in table["head"]]
         for label, expected in (
-            ("as reckoned: median", "0.10"),
+            ("as monitored: median", "0.10"),
             ("of that with nothing measured", "84"),
         ):
             column = labels.index(label)
             texts = [texts[column] for _, texts in table["rows"]]
             self.assertEqual(texts, [expected])
         labels = {metric.label for metric in mut.AUDIT_METRICS}
-        self.assertNotIn("as reckoned: median", labels)
+        self.assertNotIn("as monitored: median", labels)
 
     def test_counts_have_no_interval_below_zero(self):
         campaign = _Campaign()

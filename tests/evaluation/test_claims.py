@@ -356,7 +356,7 @@ class TestClaims(unittest.TestCase):
             why = mut.claim_rmse(results).why
             self.assertEqual("changes by +0 mm;" in why, studied)
             why = mut.claim_real_reacts_before_ideal(results).why
-            self.assertEqual("that comes 0.1 s late" in why, studied)
+            self.assertEqual("that is 0.1 s late" in why, studied)
         results = make_results_of("productivity", by_sensing(0.6, 0.5, 0.2))
         self.assertEqual(mut.claim_productivity_over_lidar(results).why, "")
 

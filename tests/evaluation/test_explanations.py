@@ -236,7 +236,7 @@ class TestEveryExplanation(unittest.TestCase):
         )
         self.assertIn("3 comparisons, without correction", text)
         self.assertIn("Decided: Real Vo (literal law) +50.0 \u00b1 0.1.", text)
-        self.assertIn("Else no change is decided by these trials", text)
+        self.assertIn("Otherwise no change is decided by these trials", text)
         self.assertIn("Real Vr (literal law) +0.0 \u00b1 24.8", text)
         for unexpected in ("late", "the cause", "matters"):
             self.assertNotIn(unexpected, text)
@@ -301,7 +301,11 @@ class TestEveryExplanation(unittest.TestCase):
                 "mostly by its slow movement: it loses 1.0 s more to stops "
                 "and 5.0 s less to slow movement.",
             ),
-            (slow, slow, "it loses no less time: not for these times."),
+            (
+                slow,
+                slow,
+                "it loses no less time: these times do not explain it.",
+            ),
         ):
             results = make_results_of(
                 {
@@ -364,7 +368,7 @@ class TestEveryExplanation(unittest.TestCase):
         results = make_results_of(
             {"slow_episodes": {("tof", "vo"): 20.0, ("lidar", "vo"): 1.0}}
         )
-        text = mut.tell_long_episodes(results)
+        text = mut.list_long_episodes(results)
         self.assertTrue(text.endswith("how long the run was: Lidar Vo."), text)
 
     def test_who_asks_for_another_separation(self):
@@ -434,7 +438,7 @@ class TestEveryExplanation(unittest.TestCase):
             mut.explain_ramps(nothing, "stop"),
             mut.count_timed(nothing, "reduce"),
             mut.count_contacts(nothing, cells),
-            mut.tell_long_episodes(nothing),
+            mut.list_long_episodes(nothing),
             mut.explain_studies(nothing, "s", cells),
             mut.explain_studies(nothing, "s", cells, [(REAL, IDEAL)]),
             mut.explain_speeds(nothing),

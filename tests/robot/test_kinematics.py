@@ -56,7 +56,7 @@ class TestRingKinematics(unittest.TestCase):
             )
             V_WT = tcp.CalcSpatialVelocityInWorld(context)
             self.assertAlmostEqual(
-                self.dut.calc_tcp_speed(q, qd),
+                np.linalg.norm(self.dut.calc_sites(q, qd)[1][-1]),
                 np.linalg.norm(V_WT.translational()),
                 delta=1e-9,
             )

@@ -207,7 +207,7 @@ class TestPath(unittest.TestCase):
         radius = np.empty(len(times))
         for i, s in enumerate(times):
             q, qd, _ = path.calc_motion(s)
-            speed[i] = kinematics.calc_tcp_speed(q, qd)
+            speed[i] = np.linalg.norm(kinematics.calc_sites(q, qd)[1][-1])
             radius[i] = np.hypot(*calc_tcp(q)[:2, 3])
         self.assertAlmostEqual(speed.max(), 1.7, places=6)
         np.testing.assert_allclose(radius[speed > 1.69], 0.82, atol=1e-9)
@@ -467,7 +467,7 @@ class TestPickAndPlaceProgram(unittest.TestCase):
             seen = []
             for k in range(1, 300):
                 simulator.AdvanceTo(0.031 * k)
-                s = dut.get_path_time(context)
+                s = get_progress(context)[0]
                 registers = self.read_registers(dut, context)
                 self.assertEqual(
                     registers,

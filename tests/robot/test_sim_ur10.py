@@ -109,7 +109,7 @@ class TestSimUr10(unittest.TestCase):
             ]
             self.assertLess(max(error), 0.0003)
             speed = [
-                kinematics.calc_tcp_speed(q, qd)
+                np.linalg.norm(kinematics.calc_sites(q, qd)[1][-1])
                 for q, qd in zip(measured, velocity, strict=True)
             ]
             self.assertAlmostEqual(max(speed), 1.7, delta=0.005)

@@ -10,7 +10,7 @@ from pydrake.systems.rendering import MultibodyPositionToGeometryPose
 from tofssm_drake.errors import UserError
 from tofssm_drake.messages import RINGS
 from tofssm_drake.robot.kinematics import RingKinematics
-from tofssm_drake.robot.products import ProductLayout
+from tofssm_drake.robot.products import ProductLayout, calc_product_positions
 from tofssm_drake.robot.program import ProgramConfig, make_program_path
 import tofssm_drake.robot.twin as mut
 
@@ -19,6 +19,11 @@ import tofssm_drake.robot.twin as mut
 def make_twin():
     scene_graph = SceneGraph()
     return mut.make_twin_plant(scene_graph=scene_graph), scene_graph
+
+
+def _calc_positions(*, q, **reported):
+    """Returns the positions of the twin's plant."""
+    return np.append(q, calc_product_positions(q=q, **reported))
 
 
 class TestCellPlant(unittest.TestCase):
@@ -96,7 +101,7 @@ class TestTwin(unittest.TestCase):
             q = generator.uniform(-3, 3, 6)
             plant.SetPositions(
                 context,
-                mut.calc_twin_positions(
+                _calc_positions(
                     layout=self.layout,
                     kinematics=self.kinematics,
                     q=q,
@@ -198,7 +203,7 @@ class TestSensorsAreOutside(unittest.TestCase):
             placed = path.calc_products_placed(s)
             diagram.GetInputPort("positions").FixValue(
                 context,
-                mut.calc_twin_positions(
+                _calc_positions(
                     layout=layout,
                     kinematics=kinematics,
                     q=q,

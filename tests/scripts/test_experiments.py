@@ -255,7 +255,9 @@ class TestGoingOn:
         monkeypatch.setattr(campaign_report, "render_page", terminate)
         monkeypatch.setattr(campaign_report, "list_figures", lambda *_: {})
         assert run_in_process(*SMALL, "--out", out, report=True) == 130
-        assert "the same command goes on from here" in capfd.readouterr().err
+        assert (
+            "run the same command again to continue" in capfd.readouterr().err
+        )
         assert list_tree(out) == before
         # The handler is gone with the command.
         assert signal.getsignal(signal.SIGTERM) == signal.SIG_DFL
@@ -342,7 +344,7 @@ NO_RINGS = ("--sensing", "lidar")
 BAD_INPUT = {
     "no_folder": (("--out", ""), "must not be empty"),
     "study_twice": (("--study", "all", "--study", "all"), "names one of them"),
-    "none_and_more": (("--study", "none", "--study", "late"), "none goes with"),
+    "none_and_more": (("--study", "none", "--study", "late"), "none excludes"),
     "no_cell": (
         (*NO_RINGS, "--study", "exact"),
         "--study: exact needs one of the sensings tof with one of the config",
@@ -411,7 +413,7 @@ class TestBadInput:
         os.mkfifo(tmp_path / "pipe.bvh")
         code = main.run(["experiments", "--human-motions", str(tmp_path)])
         assert code == 2
-        assert "pipe.bvh is no file" in capfd.readouterr().err
+        assert "pipe.bvh is not a file" in capfd.readouterr().err
 
     @pytest.mark.parametrize(
         ("arguments", "message"),
@@ -445,8 +447,8 @@ class TestBadInput:
                 continue
             assert run_in_process(*SMALL, "--out", out, report=True) == 2
             (line,) = capfd.readouterr().err.splitlines()
-            assert line.startswith("tofssm: --out: can not write into")
-            assert f"{path} is no folder" in line
+            assert line.startswith("tofssm: --out: cannot write into")
+            assert f"{path} is not a folder" in line
         assert list_tree(tmp_path) == before
 
     @pytest.mark.parametrize(

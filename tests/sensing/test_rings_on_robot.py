@@ -21,11 +21,10 @@ from tofssm_drake.errors import UserError
 from tofssm_drake.geometry.ray_caster import RayCaster
 from tofssm_drake.messages import RINGS, Reading, RingHealth
 from tofssm_drake.robot.kinematics import RingKinematics
-from tofssm_drake.robot.products import ProductLayout
+from tofssm_drake.robot.products import ProductLayout, calc_product_positions
 from tofssm_drake.robot.program import ProgramConfig, make_program_path
 from tofssm_drake.robot.twin import (
     TwinPoses,
-    calc_twin_positions,
     make_twin_plant,
 )
 from tofssm_drake.sensing.occlusion_mask import (
@@ -207,7 +206,7 @@ class Robot(LeafSystem):
         q, qd, _ = twin.path.calc_motion(time)
         gripper_closed = float(twin.path.calc_gripper_closed(time))
         products_placed = twin.path.calc_products_placed(time)
-        positions = calc_twin_positions(
+        products = calc_product_positions(
             layout=twin.layout,
             kinematics=twin.kinematics,
             q=q,
@@ -216,7 +215,12 @@ class Robot(LeafSystem):
         )
         output.SetFromVector(
             np.concatenate(
-                [q, qd, [gripper_closed, products_placed], positions]
+                [
+                    q,
+                    qd,
+                    [gripper_closed, products_placed],
+                    *(q, products.ravel()),
+                ]
             )
         )
 

@@ -78,14 +78,6 @@ def test_stopping_time_of_the_ur10():
     assert mut.calc_ur10_stop_time(1.7) == pytest.approx(0.520)
 
 
-def test_rate_bound():
-    assert mut.calc_rate_bound(45) == pytest.approx(0.064, abs=5e-4)
-    assert mut.calc_rate_bound(299) == pytest.approx(0.01, abs=5e-5)
-    assert mut.calc_rate_bound(298) > 0.01
-    # Nothing is known of a coin that was tossed once but this.
-    assert mut.calc_rate_bound(1) == pytest.approx(0.95)
-
-
 def test_config():
     dut = yaml_load_typed(schema=mut.AuditConfig, data="{V_h: 2.0}")
     dut.check("audit")

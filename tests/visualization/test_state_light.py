@@ -4,23 +4,10 @@ from fake_meshcat import FakeMeshcat
 import numpy as np
 
 from tofssm_drake.messages import RobotState
-from tofssm_drake.visualization import palette
 import tofssm_drake.visualization.state_light as mut
 
 
 class TestMeshes(unittest.TestCase):
-    def test_words(self):
-        """Every word can be spelt, and is centred and of its height."""
-        for word in palette.STATE_WORD.values():
-            vertices, faces = mut.make_word_mesh(word, height=0.2, stroke=0.03)
-            self.assertEqual(vertices.shape[0], 3)
-            self.assertLess(faces.max(), vertices.shape[1])
-            np.testing.assert_array_equal(vertices[0], 0.0)
-            low, high = vertices.min(axis=1), vertices.max(axis=1)
-            self.assertAlmostEqual(low[2], -0.115, delta=0.01)
-            self.assertAlmostEqual(high[2], 0.115, delta=0.01)
-            self.assertAlmostEqual(low[1], -high[1], delta=0.01)
-
     def test_annulus(self):
         vertices, faces = mut.make_annulus_mesh(1.0, 1.5)
         area = 0.0

@@ -1,4 +1,4 @@
-"""How a person came to be touched: when each ring should have stopped it."""
+"""Why a person was touched: when each ring should have stopped the robot."""
 
 import dataclasses as dc
 
@@ -10,10 +10,10 @@ from tofssm_drake.messages import RobotState
 LOOK_BACK = 2.0
 """How far before the stop (or the contact, if none) the cause is sought, s."""
 USUAL_DELAY = 0.08
-"""A stop that comes within this is in time, s: sampling at 42 Hz, the
-sensors' timing budget, and one or two samples for the filter."""
+"""A stop within this time is in time, s: sampling at 42 Hz, the sensors'
+timing budget, and one or two samples for the filter."""
 SEEN_TOLERANCE = 0.25
-"""A reading so far behind the person is not of the person, m."""
+"""A reading farther than this behind the person is not of the person, m."""
 STANDING = 0.01
 """A speed fraction below this is a standstill."""
 _RESTING_SPEED = 0.01
@@ -51,7 +51,7 @@ class RingApproach:
     off_along: float
     """The same along the link."""
     seen: bool
-    """Whether it read the person at any time since it was due."""
+    """Whether it measured the person at any time since it was due."""
 
     @property
     def late(self) -> float:
@@ -260,7 +260,7 @@ def _place(samples, ring, tick):
 
 
 def find_approach(samples: Samples, first: int) -> Approach:
-    """Finds out why the robot had not come to rest at a contact.
+    """Finds out why the robot was still moving at a contact.
 
     It looks back 2 s from the stop, but not past an earlier stop from which
     the robot has recovered.
@@ -323,7 +323,7 @@ def _calc_needed(samples, culprit, due, first):
     resting = np.flatnonzero(samples["tcp_speed"][first:] < _RESTING_SPEED)
     if not len(resting):
         return speed, np.nan
-    # Until the robot rests the person comes that much nearer.
+    # Until the robot is at rest the person comes that much nearer.
     missing = speed * float(t[first + resting[0]] - t[first])
     return speed, culprit.d_C + missing
 
@@ -331,9 +331,9 @@ def _calc_needed(samples, culprit, due, first):
 def count_late_stops(samples: Samples, start: int) -> int:
     """Counts how often the robot ran on though it should have been stopped.
 
-    By the truth, that is: some ring's true distance was at or under its
-    critical distance for more than `USUAL_DELAY`, the robot not at a
-    standstill and not told to stop.
+    That is by the truth: some ring's true distance was at or under its
+    critical distance for more than `USUAL_DELAY`, and the robot was neither at
+    a standstill nor told to stop.
 
     Args:
         samples: The run.

@@ -1,6 +1,6 @@
 """Audit of a run against ISO/TS 15066 and the robot's stopping time.
 
-From the samples only: what has to be known besides is in
+From the samples only: the settings it needs are in
 `Samples.metadata["audit"]`, see `make_audit_metadata`.
 
 The protective separation distance S_p is computed for each link at each tick
@@ -11,15 +11,14 @@ the greatest of its links. It is given for two speeds of the person:
 
 - *walking in*: 1.6 m/s towards the robot at all times, which the standard
   asks for where the person's speed is not monitored;
-- *as reckoned*: the directed speed of the person as the monitor had it, which
+- *as monitored*: the directed speed of the person as the monitor had it, which
   the standard allows where it is monitored. Only Vo does that. A link that is
   clear measures no speed: the monitor then assumes V_hmax, and so does this.
   It is therefore also given *as measured*, over the links that measure a
-  distance only; of the rest it says nothing. (Where a link has just begun to
-  measure, its speed is an assumed one for one frame still.)
+  distance only, and then says nothing about the others. (In the first frame
+  of a measurement the speed is still the assumed one.)
 
-Ticks before the end of start-up do not count, nor links of which nothing was
-known.
+Neither ticks before the end of start-up nor links without any data count.
 """
 
 import dataclasses as dc
@@ -61,7 +60,7 @@ def make_audit_metadata(
 
 @dc.dataclass(frozen=True, kw_only=True)
 class Shortfall:
-    """By how much d_C was shorter than S_p, over the ticks that count."""
+    """How much shorter than S_p d_C was, over the ticks that count."""
 
     values: np.ndarray
     """Of each tick, m, (k,), in order; negative: d_C was longer."""
@@ -90,7 +89,7 @@ class Shortfall:
 
 @dc.dataclass(frozen=True, kw_only=True)
 class Audit:
-    """What the standards say of a run."""
+    """What the standards say about a run."""
 
     walking_in: Shortfall
     as_reckoned: Shortfall
@@ -104,9 +103,9 @@ class Audit:
     latency: dict[str, float]
     """Parts of the worst latency by name, s."""
     T_R: float
-    """Reaction time that the law reckons with, s."""
+    """Reaction time that the law assumes, s."""
     T_stop: float
-    """Stopping time that the law reckons with, s."""
+    """Stopping time that the law assumes, s."""
     tcp_speed: float
     """Highest speed of the tool, m/s."""
     stop_time: float
@@ -158,28 +157,22 @@ def calc_audit(samples: Samples) -> Audit | None:
     columns = [f"{link}_link_closing_speed" for link in samples.rings]
     if not about or any(name not in samples for name in columns):
         return None
-    start = find_start(samples["robot_state"])
     periods = calc_periods(samples["t"])
     v_r = samples.ring("link_closing_speed")
     d_C = samples.ring("d_C")
     is_known = np.isfinite(d_C) & (samples.ring("sequence") >= 0)
-    is_known[:start] = False
-    v_h = samples.ring("closing_speed") - v_r
+    is_known[: find_start(samples["robot_state"])] = False
     measures = np.isfinite(samples.ring("measured_distance"))
 
-    def calc_S_p(v_h):
-        return calc_protective_distance(
-            v_h=v_h,
-            v_r=v_r,
-            T_R=about["T_R"],
-            T_S=about["T_stop"],
-            C=about["C_dC"],
-        )
+    def find_shortfall(v_h, counts):
+        S_p = _calc_S_p(about, v_h, v_r)
+        return _find_shortfall(samples, periods, counts, S_p, v_h)
 
-    S_p = calc_S_p(about["V_h"])
+    walking_in = np.full(v_r.shape, about["V_h"])
+    monitored = samples.ring("closing_speed") - v_r
     inside = (
         is_known
-        & (samples.ring("true_distance") < S_p)
+        & (samples.ring("true_distance") < _calc_S_p(about, walking_in, v_r))
         & (samples["robot_state"] != RobotState.STOP)[:, None]
     ).any(axis=1)
     speed = samples["tcp_speed"]
@@ -187,19 +180,9 @@ def calc_audit(samples: Samples) -> Audit | None:
     slow = calc_ur10_stop_time(speed) > about["T_stop"]
     total = periods.sum()
     return Audit(
-        walking_in=_find_shortfall(
-            samples,
-            periods,
-            is_known,
-            S_p,
-            np.full(S_p.shape, about["V_h"]),
-        ),
-        as_reckoned=_find_shortfall(
-            samples, periods, is_known, calc_S_p(v_h), v_h
-        ),
-        measuring=_find_shortfall(
-            samples, periods, is_known & measures, calc_S_p(v_h), v_h
-        ),
+        walking_in=find_shortfall(walking_in, is_known),
+        as_reckoned=find_shortfall(monitored, is_known),
+        measuring=find_shortfall(monitored, is_known & measures),
         monitors_person=bool(about["monitors_person"]),
         inside=float(periods[inside].sum()),
         latency=dict(about["latency_s"]),
@@ -208,6 +191,17 @@ def calc_audit(samples: Samples) -> Audit | None:
         tcp_speed=highest,
         stop_time=float(calc_ur10_stop_time(highest)),
         slow_share=float(periods[slow].sum() / total) if total else np.nan,
+    )
+
+
+def _calc_S_p(about, v_h, v_r):
+    """Returns protective separation distances, m, with the law's numbers."""
+    return calc_protective_distance(
+        v_h=v_h,
+        v_r=v_r,
+        T_R=about["T_R"],
+        T_S=about["T_stop"],
+        C=about["C_dC"],
     )
 
 

@@ -1,4 +1,4 @@
-"""What a campaign runs, and what it leaves in its folder.
+"""The plan of a campaign, and the files in its folder.
 
 The paper compares sensings and configurations of the safety law in *cells*,
 each with several *trials*. Trials are paired: trial n is the same person on
@@ -8,10 +8,10 @@ In the folder of a campaign:
 
 - `campaign.json`: the plan. A folder takes one plan only.
 - `runs/<cell>-<trial>/`: `samples.parquet`, `scans.parquet` and, written
-  last, `row.parquet`: what follows from the samples in one row. Where it is,
-  the run is finished and never repeated.
-- `results.parquet`: all rows, in the order of the plan, with what follows
-  from comparing them.
+  last, `row.parquet`: the metrics of the samples in one row. A run that has
+  one is finished and never repeated.
+- `results.parquet`: all rows, in the order of the plan, with the numbers that
+  need several runs.
 """
 
 import dataclasses as dc
@@ -36,7 +36,7 @@ lidar at the base, and the rings of 16 that the paper announces."""
 
 @dc.dataclass(frozen=True, kw_only=True)
 class Variant:
-    """Cells run once more with something changed, to see what it does."""
+    """Cells run again with one thing changed, to see its effect."""
 
     key: str
     label: str
@@ -48,12 +48,12 @@ class Variant:
     """The changed settings of the scenario, as YAML."""
 
     def covers(self, sensing: str, configuration: str) -> bool:
-        """Tells whether a cell is run once more."""
+        """Returns whether a cell is run again."""
         return sensing in self.sensings and configuration in self.configurations
 
 
 def _make_lidar_variant(key, rule, label, question):
-    """Another way to take the lidar's distance, with every configuration."""
+    """Returns a variant with another rule for the lidar's distance."""
     return Variant(
         key=key,
         label=label,
@@ -118,9 +118,8 @@ VARIANTS = {
         ),
     )
 }
-"""What a study compares, by key. The sign of the closing speed as the paper
-prints it is in none of them: with it a person who comes nearer counts as one
-who leaves."""
+"""Studies by key. None has the sign of the closing speed as the paper prints
+it: with that sign an approaching person counts as one who leaves."""
 
 _SENSING_LABEL = {
     "tof": "Real",
@@ -166,9 +165,9 @@ class Cell:
 
 @dc.dataclass(frozen=True, kw_only=True)
 class Trial:
-    """One person on one way, and the draw of the sensors' errors.
+    """One person on one path, and the seed of the sensors' errors.
 
-    All of it follows from the seed, see `make_trial`.
+    The seed determines everything, see `make_trial`.
     """
 
     number: int
@@ -192,9 +191,9 @@ class Trial:
 
 
 def make_trial(campaign_seed: int, number: int) -> Trial:
-    """Draws a trial. *Assumed*: how far people differ.
+    """Draws a trial. *Assumed*: how much people differ.
 
-    Speeds are from 1.0 to 1.4 m/s, statures from 1.60 to 1.90 m, the way is
+    Speeds are from 1.0 to 1.4 m/s, statures from 1.60 to 1.90 m, the path is
     shifted by up to 0.1 m in x and y and up to 5 % longer and wider or
     shorter and narrower than the scenario's.
 
@@ -221,7 +220,7 @@ def make_trial(campaign_seed: int, number: int) -> Trial:
 
 @dc.dataclass(frozen=True, kw_only=True)
 class PlannedRun:
-    """One run; without a trial nobody is there."""
+    """One run; without a trial there is no person."""
 
     cell: Cell
     trial: Trial | None = None
@@ -246,7 +245,7 @@ class PlannedRun:
 
 @dc.dataclass(frozen=True, kw_only=True)
 class Plan:
-    """Everything that decides the results of a campaign."""
+    """Everything that determines the results of a campaign."""
 
     seed: int
     cells: tuple[Cell, ...]
@@ -295,9 +294,8 @@ def make_plan(
         trials: Trials per cell.
         sensings: Some of SENSINGS, in order, each once.
         configurations: Some of vo, vr and sm, likewise.
-        variants: Some of VARIANTS, likewise; of each those cells are run
-            besides whose sensing and configuration are asked for, at least
-            one.
+        variants: Some of VARIANTS, likewise. Of each, the cells with these
+            sensings and configurations are added: at least one.
         scenario: What all runs have in common, as plain values.
         motions: Digests of recordings by file name.
         versions: Versions of packages.
@@ -325,25 +323,14 @@ def make_plan(
         f"--trials: {trials} must be from 1 to 1000",
     )
     require(0 <= seed < 2**32, f"--seed: {seed} must be from 0 to {2**32 - 1}")
-    cells = [
+    plain = [
         Cell(sensing=sensing, configuration=configuration)
         for sensing in sensings
         for configuration in configurations
     ]
-    plain = list(cells)
-    for key in variants:
-        studied = [
-            dc.replace(cell, variant=key)
-            for cell in plain
-            if VARIANTS[key].covers(cell.sensing, cell.configuration)
-        ]
-        require(
-            len(studied) > 0,
-            f"--study: {key} needs one of the sensings "
-            f"{', '.join(VARIANTS[key].sensings)} with one of the "
-            f"configurations {', '.join(VARIANTS[key].configurations)}",
-        )
-        cells += studied
+    cells = plain + [
+        cell for key in variants for cell in _list_studied(key, plain)
+    ]
     return Plan(
         seed=seed,
         cells=tuple(cells),
@@ -352,6 +339,23 @@ def make_plan(
         motions=dict(motions or {}),
         versions=dict(versions or {}),
     )
+
+
+def _list_studied(key, cells):
+    """Returns the cells that a study adds to some cells, at least one."""
+    variant = VARIANTS[key]
+    studied = [
+        dc.replace(cell, variant=key)
+        for cell in cells
+        if variant.covers(cell.sensing, cell.configuration)
+    ]
+    require(
+        len(studied) > 0,
+        f"--study: {key} needs one of the sensings "
+        f"{', '.join(variant.sensings)} with one of the configurations "
+        f"{', '.join(variant.configurations)}",
+    )
+    return studied
 
 
 def list_studies(sensings: list[str], configurations: list[str]) -> list[str]:
@@ -369,7 +373,7 @@ def describe_plan(plan: Plan) -> dict:
 
 
 def find_difference(old, new, where: str = "") -> str | None:
-    """Returns in words where two plain values first differ; None: nowhere."""
+    """Describes where two plain values first differ; None: nowhere."""
     if isinstance(old, dict) and isinstance(new, dict):
         for key in [*old, *(k for k in new if k not in old)]:
             at = f"{where}.{key}" if where else str(key)
@@ -395,9 +399,9 @@ def find_difference(old, new, where: str = "") -> str | None:
 
 
 def find_change(old: dict, new: dict) -> str | None:
-    """Returns in words what makes another campaign of a plan.
+    """Describes what makes a plan another campaign; None: nothing does.
 
-    More cells and more trials do not: what there is stays as it is.
+    Added cells and trials do not: existing runs stay valid.
 
     Args:
         old: From `describe_plan`.
@@ -419,7 +423,7 @@ def find_change(old: dict, new: dict) -> str | None:
 
 
 def check_folder(folder: Path, plan: Plan) -> None:
-    """Raises UserError if something else is where results belong."""
+    """Raises UserError if a path for the results is taken."""
     folder = Path(folder)
     folders = [
         *(*reversed(folder.parents), folder),
@@ -429,47 +433,46 @@ def check_folder(folder: Path, plan: Plan) -> None:
     for path in folders:
         require(
             path.is_dir() or not os.path.lexists(path),
-            f"--out: can not write into {folder}: {path} is no folder",
+            f"--out: cannot write into {folder}: {path} is not a folder",
         )
     for name in (_PLAN_FILE, "results.parquet", "report.html"):
         require(
             not (folder / name).is_dir(),
-            f"--out: can not write into {folder}: {folder / name} is a folder",
+            f"--out: cannot write into {folder}: {folder / name} is a folder",
         )
 
 
 def get_scratch(folder: Path) -> Path:
-    """Returns where processes keep what they need while they run."""
+    """Returns the folder for temporary files of the processes."""
     return Path(folder) / _SCRATCH
 
 
 def enter_folder(folder: Path, plan: Plan) -> None:
-    """Tidies up what a kill has left in the folder of this campaign.
+    """Removes what a kill has left in the folder of this campaign.
 
     Raises:
-        UserError: Another campaign is in the folder, or something that is no
-            campaign's.
+        UserError: The folder holds another campaign, or something else.
     """
     check_folder(folder, plan)
     path = Path(folder) / _PLAN_FILE
     if not path.exists():
         require(
             not any(Path(folder).glob("runs/*/row.parquet")),
-            f"--out: {folder} holds runs, but not their {_PLAN_FILE}: nobody "
-            "knows of which campaign they are; give another folder",
+            f"--out: {folder} holds runs, but not their {_PLAN_FILE}: their "
+            "campaign is unknown; give another folder",
         )
         return
     try:
         old = json.loads(path.read_text("utf-8"))
         difference = find_change(old, describe_plan(plan))
     except (OSError, ValueError, KeyError, TypeError) as error:
-        raise UserError(f"{path}: is no campaign's plan: {error}") from None
+        raise UserError(f"{path}: is not a campaign's plan: {error}") from None
     require(
         difference is None,
         f"--out: {folder} holds another campaign ({difference}); give "
         "another folder, or the same options and perhaps more trials or cells",
     )
-    # What a kill left of files that were being written.
+    # Parts of files that were being written at a kill.
     for half in Path(folder).rglob(PARTS):
         half.unlink(missing_ok=True)
     shutil.rmtree(get_scratch(folder), ignore_errors=True)
@@ -479,14 +482,14 @@ def open_folder(folder: Path, plan: Plan) -> None:
     """Makes the folder of a campaign, with its plan in it.
 
     Raises:
-        UserError: It can not be written.
+        UserError: It cannot be written.
     """
     text = json.dumps(describe_plan(plan), indent=2) + "\n"
     try:
         (Path(folder) / "runs").mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise UserError(
-            f"--out: can not write into {folder}: {error.strerror}"
+            f"--out: cannot write into {folder}: {error.strerror}"
         ) from None
     write_atomically(
         Path(folder) / _PLAN_FILE, lambda p: p.write_text(text, "utf-8")
@@ -494,14 +497,14 @@ def open_folder(folder: Path, plan: Plan) -> None:
 
 
 def get_run_folder(folder: Path, run: PlannedRun) -> Path:
-    """Returns where the files of a run are."""
+    """Returns the folder of a run."""
     return Path(folder) / "runs" / run.key
 
 
 def store_run(
     folder: Path, run: PlannedRun, row: dict, files: dict[str, bytes]
 ) -> None:
-    """Writes what came of a run, its row last.
+    """Writes the results of a run, its row last.
 
     Args:
         folder: The campaign's.
@@ -510,7 +513,7 @@ def store_run(
         files: Contents by file name.
 
     Raises:
-        UserError: The folder can not be written.
+        UserError: The folder cannot be written.
     """
     where = get_run_folder(folder, run)
     where.mkdir(parents=True, exist_ok=True)
@@ -526,7 +529,7 @@ def read_rows(folder: Path, plan: Plan) -> dict[str, dict]:
     """Returns the rows of the finished runs by the runs' keys.
 
     Raises:
-        UserError: A row can not be read, or is another run's.
+        UserError: A row cannot be read, or is another run's.
     """
     rows = {}
     for run in plan.list_runs():
@@ -537,13 +540,13 @@ def read_rows(folder: Path, plan: Plan) -> dict[str, dict]:
             except (OSError, ValueError, pa.ArrowException) as error:
                 reason = str(error).splitlines()[0]
                 raise UserError(
-                    f"{path}: can not be read ({reason}); remove it to have "
+                    f"{path}: cannot be read ({reason}); remove it to have "
                     "the run repeated"
                 ) from None
             wrong = [
                 name
                 for name, value in make_row(run, {}).items()
-                # What is not a number is not equal to itself.
+                # NaN is not equal to itself.
                 if rows[run.key].get(name) != value and value == value
             ]
             require(
@@ -579,7 +582,7 @@ def make_results(plan: Plan, rows: dict[str, dict]) -> list[dict]:
     """Returns all rows in the order of the plan.
 
     Adds `productivity_measured`, t_NoHRI / t_HRI (the paper's Eq. 10a) with
-    t_NoHRI as the run without a person took; NaN for a run that was not
+    t_NoHRI from the run without a person; NaN for a run that was not
     finished when its time was up. It checks `productivity`, which takes
     t_NoHRI from the run's own samples.
 
@@ -598,7 +601,7 @@ def make_results(plan: Plan, rows: dict[str, dict]) -> list[dict]:
 def write_results(folder: Path, results: list[dict]) -> Path:
     """Writes results.parquet, one row per run; returns its path."""
     path = Path(folder) / "results.parquet"
-    # Rows of an older version of this program may lack some.
+    # Rows of an older version may lack some columns.
     names = list(dict.fromkeys(name for row in results for name in row))
     table = pa.Table.from_pydict(
         {name: [row.get(name) for row in results] for name in names}

@@ -1,8 +1,8 @@
 """The paper's figures 9 to 12, from a campaign's results and samples.
 
-A sensing is told by its colour (Okabe and Ito's) and a configuration by its
-marker and line, so that neither depends on seeing colours. Every figure comes
-in two widths: wide, and narrow for a phone.
+Colour (Okabe and Ito's) and hatching show the sensing, marker and line the
+configuration, so that neither depends on seeing colours. Every figure comes in
+two widths: wide, and narrow for a phone.
 """
 
 import math
@@ -63,7 +63,7 @@ PAPER_RMSE = {"ideal": 0.009, "tof": 0.063, "lidar": 0.128}
 
 _WIDE, _NARROW = 10.6, 4.3
 SPAN = 30.0
-"""How much of a run is shown where all of it would be too dense, s."""
+"""Length of the part of a run that is shown where all is too dense, s."""
 
 
 def _find_sensings(cells):
@@ -102,7 +102,7 @@ def find_window(samples: Samples, span: float = SPAN) -> slice:
 def make_distance_figure(
     results: Results, samples: dict[Cell, Samples], *, narrow: bool = False
 ) -> Figure:
-    """Fig. 9: distances against the ground truth, and their errors.
+    """Draws Fig. 9: distances against the ground truth, and their errors.
 
     Args:
         results: Of the campaign.
@@ -165,9 +165,18 @@ def _draw_distance(ax, cell, run, narrow, first):
         ax.get_legend().set_bbox_to_anchor((1, 1.0), ax.transAxes)
 
 
+_BAR = 0.26
+"""Width of a bar of errors."""
+_PAPER_STYLE = {"color": BLACK, "linestyle": (0, (1, 1.2)), "linewidth": 2.0}
+_ERROR_METRICS = {
+    "distance_rmse_centre_m": 0.35,
+    "distance_rmse_surface_m": 1.0,
+}
+"""Opacity of the bars by metric."""
+
+
 def _draw_errors(ax, results, sensings, narrow):
-    """Bars of the errors by sensing and configuration."""
-    width = 0.26
+    """Draws bars of the errors by sensing and configuration."""
     rng = np.random.default_rng(0)
     ticks, names = [], []
     x = 0.0
@@ -176,96 +185,91 @@ def _draw_errors(ax, results, sensings, narrow):
         for cell in _list_plain(results):
             if cell.sensing != sensing:
                 continue
-            for metric, shade in (
-                ("distance_rmse_centre_m", 0.35),
-                ("distance_rmse_surface_m", 1.0),
-            ):
-                value = results.estimate(cell, metric)
-                if not value.count:
-                    continue
-                ax.bar(
-                    x,
-                    value.mean,
-                    width,
-                    color=SENSING_COLOUR[sensing],
-                    alpha=shade,
-                    hatch=_HATCH[sensing] if shade == 1.0 else None,
-                    edgecolor="white",
-                    linewidth=0,
-                )
-                if math.isfinite(value.half_width):
-                    ax.errorbar(
-                        x,
-                        value.mean,
-                        value.half_width,
-                        color=BLACK,
-                        linewidth=1.0,
-                        capsize=2.5,
-                    )
-                points = np.array(list(results.values(cell, metric).values()))
-                ax.plot(
-                    x + 0.25 * width * rng.uniform(-1, 1, len(points)),
-                    points,
-                    "o",
-                    color=BLACK,
-                    markersize=2.0,
-                    alpha=0.6,
-                )
-                x += width
-            ticks.append(x - 1.5 * width)
+            for metric in _ERROR_METRICS:
+                if results.estimate(cell, metric).count:
+                    _draw_error_bar(ax, x, results, cell, metric, rng)
+                    x += _BAR
+            ticks.append(x - 1.5 * _BAR)
             names.append(CONFIGURATION_NAME[cell.configuration])
-            x += 0.5 * width
-        paper = PAPER_RMSE.get(sensing)
-        if paper is not None:
-            ax.hlines(
-                paper,
-                start - 0.6 * width,
-                x - width,
-                color=BLACK,
-                linestyle=(0, (1, 1.2)),
-                linewidth=2.0,
-            )
-        ax.annotate(
-            _SHORT_NAME[sensing],
-            ((start + x - 1.5 * width) / 2, 0),
-            xycoords=("data", "axes fraction"),
-            xytext=(0, -20),
-            textcoords="offset points",
-            ha="center",
-            va="top",
-            color=SENSING_TEXT[sensing],
-            fontweight="bold",
-        )
-        x += 1.2 * width
+            x += 0.5 * _BAR
+        _label_sensing(ax, sensing, start, x)
+        x += 1.2 * _BAR
     ax.set_xticks(ticks, names)
     ax.grid(axis="x", visible=False)
     ax.set_ylabel("RMSE (m)")
     ax.set_title("Error against the true distance", pad=34 if narrow else 20)
-    add_legend(
-        ax,
-        [
-            Patch(color=GREY, alpha=0.35, label="from the link's centre"),
-            Patch(color=GREY, label="its radius taken off"),
-            Line2D(
-                [],
-                [],
-                color=BLACK,
-                linestyle=(0, (1, 1.2)),
-                linewidth=2.0,
-                label="paper",
-            ),
-            Line2D(
-                [],
-                [],
-                color=BLACK,
-                marker="o",
-                markersize=2.5,
-                linestyle="none",
-                label="trials",
-            ),
-        ],
-        columns=2 if narrow else 4,
+    _add_error_legend(ax, columns=2 if narrow else 4)
+
+
+def _draw_error_bar(ax, x, results, cell, metric, rng):
+    """Draws the mean, its interval and the trials of one metric."""
+    value = results.estimate(cell, metric)
+    shade = _ERROR_METRICS[metric]
+    ax.bar(
+        x,
+        value.mean,
+        _BAR,
+        color=SENSING_COLOUR[cell.sensing],
+        alpha=shade,
+        hatch=_HATCH[cell.sensing] if shade == 1.0 else None,
+        edgecolor="white",
+        linewidth=0,
     )
+    if math.isfinite(value.half_width):
+        ax.errorbar(
+            x,
+            value.mean,
+            value.half_width,
+            color=BLACK,
+            linewidth=1.0,
+            capsize=2.5,
+        )
+    points = np.array(list(results.values(cell, metric).values()))
+    ax.plot(
+        x + 0.25 * _BAR * rng.uniform(-1, 1, len(points)),
+        points,
+        "o",
+        color=BLACK,
+        markersize=2.0,
+        alpha=0.6,
+    )
+
+
+def _label_sensing(ax, sensing, start, end):
+    """Writes a sensing below its bars; draws the paper's error over them."""
+    paper = PAPER_RMSE.get(sensing)
+    if paper is not None:
+        ax.hlines(paper, start - 0.6 * _BAR, end - _BAR, **_PAPER_STYLE)
+    ax.annotate(
+        _SHORT_NAME[sensing],
+        ((start + end - 1.5 * _BAR) / 2, 0),
+        xycoords=("data", "axes fraction"),
+        xytext=(0, -20),
+        textcoords="offset points",
+        ha="center",
+        va="top",
+        color=SENSING_TEXT[sensing],
+        fontweight="bold",
+    )
+
+
+def _add_error_legend(ax, columns):
+    trials = Line2D(
+        [],
+        [],
+        color=BLACK,
+        marker="o",
+        markersize=2.5,
+        linestyle="none",
+        label="trials",
+    )
+    handles = [
+        Patch(color=GREY, alpha=0.35, label="from the link's centre"),
+        Patch(color=GREY, label="minus its radius"),
+        Line2D([], [], label="paper", **_PAPER_STYLE),
+        trials,
+    ]
+    add_legend(ax, handles, columns=columns)
 
 
 def make_productivity_figure(
@@ -274,7 +278,7 @@ def make_productivity_figure(
     metric: str = "safety_mean_m2_per_mps",
     narrow: bool = False,
 ) -> Figure:
-    """Fig. 10: productivity against safety, with what the trials allow.
+    """Draws Fig. 10: productivity against safety, with confidence ellipses.
 
     Args:
         results: Of the campaign.
@@ -289,55 +293,7 @@ def make_productivity_figure(
         )
         ax = figure.subplots()
         for cell in cells:
-            safety = results.values(cell, metric)
-            productivity = results.values(cell, "productivity")
-            x = np.array(list(safety.values()))
-            y = 100 * np.array(list(productivity.values()))
-            colour = SENSING_COLOUR[cell.sensing]
-            marker = _MARKER[cell.configuration]
-            ax.plot(
-                x,
-                y,
-                marker,
-                color=colour,
-                alpha=0.35,
-                markersize=4,
-                markeredgewidth=0,
-            )
-            ellipse = calc_confidence_ellipse(x, y)
-            if ellipse is not None:
-                ax.add_patch(
-                    EllipsePatch(
-                        ellipse.centre,
-                        2 * ellipse.half_axes[0],
-                        2 * ellipse.half_axes[1],
-                        angle=math.degrees(ellipse.angle),
-                        facecolor=colour,
-                        alpha=0.10,
-                        linewidth=0,
-                    )
-                )
-                ax.add_patch(
-                    EllipsePatch(
-                        ellipse.centre,
-                        2 * ellipse.half_axes[0],
-                        2 * ellipse.half_axes[1],
-                        angle=math.degrees(ellipse.angle),
-                        facecolor="none",
-                        edgecolor=colour,
-                        linewidth=0.9,
-                    )
-                )
-            ax.plot(
-                np.nanmean(x) if np.isfinite(x).any() else np.nan,
-                np.nanmean(y) if np.isfinite(y).any() else np.nan,
-                marker,
-                color=colour,
-                markersize=9,
-                markeredgecolor=BLACK,
-                markeredgewidth=0.8,
-                zorder=5,
-            )
+            _draw_productivity(ax, results, cell, metric)
         ax.set_xlabel(
             f"safety metric, {SAFETY[metric]} of "
             "$\\|D_{gt}\\|^2 / \\|V_{tool}\\|$ (m\u00b2/(m/s))"
@@ -349,8 +305,44 @@ def make_productivity_figure(
     return figure
 
 
+def _draw_productivity(ax, results, cell, metric):
+    """Draws the trials of a cell, their mean and its confidence ellipse."""
+    x = np.array(list(results.values(cell, metric).values()))
+    y = 100 * np.array(list(results.values(cell, "productivity").values()))
+    colour = SENSING_COLOUR[cell.sensing]
+    marker = _MARKER[cell.configuration]
+    ax.plot(
+        x, y, marker, color=colour, alpha=0.35, markersize=4, markeredgewidth=0
+    )
+    ellipse = calc_confidence_ellipse(x, y)
+    if ellipse is not None:
+        for style in (
+            {"facecolor": colour, "alpha": 0.10, "linewidth": 0},
+            {"facecolor": "none", "edgecolor": colour, "linewidth": 0.9},
+        ):
+            ax.add_patch(
+                EllipsePatch(
+                    ellipse.centre,
+                    2 * ellipse.half_axes[0],
+                    2 * ellipse.half_axes[1],
+                    angle=math.degrees(ellipse.angle),
+                    **style,
+                )
+            )
+    ax.plot(
+        np.nanmean(x) if np.isfinite(x).any() else np.nan,
+        np.nanmean(y) if np.isfinite(y).any() else np.nan,
+        marker,
+        color=colour,
+        markersize=9,
+        markeredgecolor=BLACK,
+        markeredgewidth=0.8,
+        zorder=5,
+    )
+
+
 def _add_cell_legend(ax, cells, narrow):
-    """Legend with configurations and sensings in a row each, or a column."""
+    """Adds a legend, configurations and sensings in a row or column each."""
     groups = [_configuration_handles(cells), _sensing_handles(cells)]
     size = max(len(group) for group in groups)
     blank = Line2D([], [], linestyle="none", label=" ")
@@ -388,7 +380,7 @@ def _sensing_handles(cells):
 def make_response_figure(
     samples: dict[Cell, Samples], *, narrow: bool = False
 ) -> Figure:
-    """Fig. 11 as time series: tool speed and measured distance.
+    """Draws Fig. 11 as time series: tool speed and measured distance.
 
     Args:
         samples: One run each of the cells to show; in the wide figure the
@@ -397,41 +389,9 @@ def make_response_figure(
     """
     with matplotlib.rc_context(STYLE):
         figure, axes = _make_grid(samples, narrow, height=1.75)
-        last = None
         for cell, ax in axes.items():
-            run = samples[cell]
-            rows = find_window(run)
-            t = run["t"][rows]
-            centre, _ = calc_nearest_distances(run)
-            centre = np.where(np.isfinite(centre), centre, np.nan)[rows]
-            time, _, _, speed = thin(t, run["tcp_speed"][rows], 500)
-            ax.fill_between(
-                time, 0, speed, color=ORANGE, alpha=0.45, linewidth=0
-            )
-            ax.set_ylim(0, 1.8)
-            ax.set_title(cell.label, color=SENSING_TEXT[cell.sensing])
-            twin = ax.twinx()
-            time, distance, _, _ = thin(t, centre, 700)
-            twin.plot(
-                time,
-                distance,
-                color=SENSING_COLOUR[cell.sensing],
-                linewidth=1.2,
-            )
-            twin.set_ylim(0, 2.4)
-            twin.grid(False)
-            twin.spines["right"].set_visible(True)
-            if len(t) > 1:
-                ax.set_xlim(t[0], t[-1])
-            ax.set_ylabel("tool (m/s)" if _is_left(ax) or narrow else "")
-            right = narrow or _is_right(ax)
-            twin.set_ylabel("distance (m)" if right else "")
-            if not right:
-                twin.tick_params(labelright=False)
-            if narrow or _is_bottom(ax):
-                ax.set_xlabel("time (s)")
-            last = ax
-        if last is not None:
+            _draw_response(ax, cell, samples[cell], narrow)
+        if axes:
             figure.legend(
                 handles=[
                     Patch(color=ORANGE, alpha=0.45, label="tool speed"),
@@ -443,10 +403,37 @@ def make_response_figure(
     return figure
 
 
+def _draw_response(ax, cell, run, narrow):
+    rows = find_window(run)
+    t = run["t"][rows]
+    centre, _ = calc_nearest_distances(run)
+    centre = np.where(np.isfinite(centre), centre, np.nan)[rows]
+    time, _, _, speed = thin(t, run["tcp_speed"][rows], 500)
+    ax.fill_between(time, 0, speed, color=ORANGE, alpha=0.45, linewidth=0)
+    ax.set_ylim(0, 1.8)
+    ax.set_title(cell.label, color=SENSING_TEXT[cell.sensing])
+    twin = ax.twinx()
+    time, distance, _, _ = thin(t, centre, 700)
+    colour = SENSING_COLOUR[cell.sensing]
+    twin.plot(time, distance, color=colour, linewidth=1.2)
+    twin.set_ylim(0, 2.4)
+    twin.grid(False)
+    twin.spines["right"].set_visible(True)
+    if len(t) > 1:
+        ax.set_xlim(t[0], t[-1])
+    ax.set_ylabel("tool (m/s)" if _is_left(ax) or narrow else "")
+    right = narrow or _is_right(ax)
+    twin.set_ylabel("distance (m)" if right else "")
+    if not right:
+        twin.tick_params(labelright=False)
+    if narrow or _is_bottom(ax):
+        ax.set_xlabel("time (s)")
+
+
 def make_phase_figure(
     samples: dict[Cell, Samples], *, narrow: bool = False
 ) -> Figure:
-    """Fig. 11 as phase plots: how often which speed at which distance.
+    """Draws Fig. 11 as phase plots: share of time by distance and speed.
 
     Args:
         samples: As for `make_response_figure`.
@@ -562,10 +549,10 @@ RADARS = (
 
 
 def make_radar_figure(results: Results, *, narrow: bool = False) -> Figure:
-    """Fig. 12: four radars over the cells.
+    """Draws Fig. 12: four radars over the cells.
 
-    Values below 0 lie inside of the zero line, which is drawn bold: areas
-    mean nothing on a radar, and the table beside it is what to read.
+    Values below 0 lie inside the zero line, which is drawn bold. Areas on a
+    radar mean nothing: read the table beside it.
 
     Args:
         results: Of the campaign.
@@ -583,49 +570,58 @@ def make_radar_figure(results: Results, *, narrow: bool = False) -> Figure:
         )
         for ax, (title, curves) in zip(axes.ravel(), RADARS, strict=True):
             _draw_radar(ax, results, cells, title, curves)
-        # A browser's letters are wider than those that were measured here.
+        # A browser's letters are wider than those measured here.
         figure.get_layout_engine().set(w_pad=0.2)
     return figure
 
 
 def _draw_radar(ax, results, cells, title, curves):
     angle = 2 * np.pi * np.arange(len(cells)) / max(len(cells), 1)
-    closed = np.append(angle, angle[:1])
     low, high = 0.0, 0.0
-    for (metric, label), (colour, style, marker) in zip(
+    for (metric, label), style in zip(
         curves,
-        ((BLACK, "-", "o"), (ORANGE, (0, (4, 2)), "D")),
+        (
+            {"color": BLACK, "linestyle": "-", "marker": "o"},
+            {"color": ORANGE, "linestyle": (0, (4, 2)), "marker": "D"},
+        ),
         strict=False,
     ):
         estimates = [results.estimate(cell, metric) for cell in cells]
         mean = np.array([e.mean for e in estimates])
         half = np.nan_to_num([e.half_width for e in estimates])
-        ax.plot(
-            closed,
-            np.append(mean, mean[:1]),
-            color=colour,
-            linestyle=style,
-            linewidth=1.2,
-            label=label,
-        )
-        ax.plot(
-            angle,
-            mean,
-            marker,
-            color=colour,
-            markersize=4,
-        )
-        for a, m, h in zip(angle, mean, half, strict=True):
-            ax.plot(
-                [a, a], [m - h, m + h], color=colour, linewidth=2.2, alpha=0.4
-            )
+        _draw_radar_curve(ax, angle, mean, half, style, label)
         if np.isfinite(mean).any():
             low = min(low, float(np.nanmin(mean - half)))
             high = max(high, float(np.nanmax(mean + half)))
     span = max(high - low, 1e-3)
+    ax.set_rlim(low - 0.12 * span, high + 0.06 * span)
+    _label_radar(ax, angle, cells)
+    ax.set_title(title, loc="center", pad=18)
+    if len(curves) > 1:
+        ax.legend(
+            loc="upper left", bbox_to_anchor=(-0.3, 1.16), handlelength=2.4
+        )
+
+
+def _draw_radar_curve(ax, angle, mean, half, style, label):
+    line = style | {"marker": None, "linewidth": 1.2, "label": label}
+    ax.plot(np.append(angle, angle[:1]), np.append(mean, mean[:1]), **line)
+    points = style | {"linestyle": "none", "markersize": 4}
+    ax.plot(angle, mean, **points)
+    for a, m, h in zip(angle, mean, half, strict=True):
+        ax.plot(
+            [a, a],
+            [m - h, m + h],
+            color=style["color"],
+            linewidth=2.2,
+            alpha=0.4,
+        )
+
+
+def _label_radar(ax, angle, cells):
+    """Draws the zero line and writes a cell at each spoke."""
     ax.set_theta_zero_location("N")
     ax.set_theta_direction(-1)
-    ax.set_rlim(low - 0.12 * span, high + 0.06 * span)
     ax.set_rlabel_position(180 / max(len(cells), 1))
     turn = np.linspace(0, 2 * np.pi, 181)
     ax.plot(turn, np.zeros_like(turn), color=GREY, linewidth=1.4, zorder=1)
@@ -638,15 +634,10 @@ def _draw_radar(ax, results, cells, title, curves):
         )
     ax.tick_params(axis="x", pad=2)
     ax.tick_params(axis="y", labelsize=7.5)
-    ax.set_title(title, loc="center", pad=18)
-    if len(curves) > 1:
-        ax.legend(
-            loc="upper left", bbox_to_anchor=(-0.3, 1.16), handlelength=2.4
-        )
 
 
 def make_audit_figure(results: Results, *, narrow: bool = False) -> Figure:
-    """By how much the law keeps less distance than ISO/TS 15066 asks.
+    """Draws by how much the law keeps less distance than ISO/TS 15066 asks.
 
     Args:
         results: Of the campaign.
@@ -663,21 +654,7 @@ def make_audit_figure(results: Results, *, narrow: bool = False) -> Figure:
         )
         ax = figure.subplots()
         for i, cell in enumerate(cells):
-            colour = SENSING_COLOUR[cell.sensing]
-            _draw_shortfall(ax, i - 0.1, results, cell, "walking_in", colour)
-            if cell.configuration == "vo":
-                _draw_shortfall(
-                    ax, i + 0.18, results, cell, "as_reckoned", GREY
-                )
-                _draw_shortfall(
-                    ax,
-                    i + 0.38,
-                    results,
-                    cell,
-                    "measuring",
-                    GREY,
-                    is_outline=True,
-                )
+            _draw_shortfalls(ax, i, results, cell)
         ax.axvline(0.0, color=BLACK, linewidth=1.2)
         ax.set_yticks(range(len(cells)), [cell.label for cell in cells])
         ax.set_ylim(len(cells) - 0.4, -0.6)
@@ -690,38 +667,49 @@ def make_audit_figure(results: Results, *, narrow: bool = False) -> Figure:
             else "shortfall $S_p - d_C$ (m): right of 0 the law keeps less "
             "than the standard asks"
         )
-        add_legend(
-            ax,
-            [
-                Patch(color=BLUE, alpha=0.45, label="walking in at 1.6 m/s"),
-                Patch(color=GREY, alpha=0.45, label="as Vo reckoned"),
-                Patch(
-                    facecolor="none",
-                    edgecolor=GREY,
-                    label="the same, links that measure",
-                ),
-                Line2D(
-                    [],
-                    [],
-                    color=BLACK,
-                    marker="|",
-                    markersize=9,
-                    markeredgewidth=2,
-                    linestyle="none",
-                    label="median; bar: 5 % to 95 % of the time",
-                ),
-                Line2D(
-                    [],
-                    [],
-                    color=BLACK,
-                    marker=">",
-                    linestyle="none",
-                    label="worst tick of all trials",
-                ),
-            ],
-            columns=1 if narrow else 3,
-        )
+        _add_shortfall_legend(ax, columns=1 if narrow else 3)
     return figure
+
+
+def _add_shortfall_legend(ax, columns):
+    stroke = {"marker": "|", "markersize": 9, "markeredgewidth": 2}
+    handles = [
+        Patch(color=BLUE, alpha=0.45, label="walking in at 1.6 m/s"),
+        Patch(color=GREY, alpha=0.45, label="as Vo monitored it"),
+        Patch(
+            facecolor="none",
+            edgecolor=GREY,
+            label="the same, links that measure",
+        ),
+        Line2D(
+            [],
+            [],
+            color=BLACK,
+            linestyle="none",
+            label="median; bar: 5 % to 95 % of the time",
+            **stroke,
+        ),
+        Line2D(
+            [],
+            [],
+            color=BLACK,
+            marker=">",
+            linestyle="none",
+            label="worst tick of all trials",
+        ),
+    ]
+    add_legend(ax, handles, columns=columns)
+
+
+def _draw_shortfalls(ax, i, results, cell):
+    """Draws the shortfalls of a cell in row i."""
+    colour = SENSING_COLOUR[cell.sensing]
+    _draw_shortfall(ax, i - 0.1, results, cell, "walking_in", colour)
+    if cell.configuration == "vo":
+        _draw_shortfall(ax, i + 0.18, results, cell, "as_reckoned", GREY)
+        _draw_shortfall(
+            ax, i + 0.38, results, cell, "measuring", GREY, is_outline=True
+        )
 
 
 def _draw_shortfall(ax, y, results, cell, name, colour, *, is_outline=False):

@@ -1,5 +1,6 @@
 """The report of a campaign: a single file that any browser opens, offline."""
 
+import collections
 import dataclasses as dc
 import math
 from pathlib import Path
@@ -59,11 +60,11 @@ class Metric:
     digits: int = 2
     scale: float = 1.0
     is_worst: bool = False
-    """Whether the greatest value of all runs is told instead of the mean."""
+    """Whether to show the greatest value of all runs, not the mean."""
     is_count: bool = False
-    """Whether the sum and the runs with any are told instead of the mean."""
+    """Whether to show the sum and the runs with any, not the mean."""
     whole: str = ""
-    """Column of which this one counts a part; told as `part of whole`."""
+    """Column of which this one counts a part; shown as `part of whole`."""
 
 
 def _make_time_metrics(kind, counted, alike):
@@ -209,7 +210,7 @@ METRICS = {
 
 
 def _make_shortfall_metrics(name, label, **options):
-    """Columns of a shortfall: name in the results, label of the median."""
+    """Returns columns of a shortfall: its name, label of its median."""
     columns = (
         ("p50_m", label, {"unit": "m"}),
         ("max_m", "mean of the runs\u2019 worst", {"unit": "m"}),
@@ -255,7 +256,7 @@ AUDIT_METRICS = (
 )
 """Columns of the audit's table."""
 MONITORED_METRICS = (
-    *_make_shortfall_metrics("as_reckoned", "as reckoned: median"),
+    *_make_shortfall_metrics("as_reckoned", "as monitored: median"),
     Metric(
         name="shortfall_as_reckoned_clear_share",
         label="of that with nothing measured",
@@ -267,7 +268,7 @@ MONITORED_METRICS = (
         "measuring", "as measured, links that measure: median"
     ),
 )
-"""Columns of the table of those that monitor the person's speed."""
+"""Columns of the table of laws that monitor the person's speed."""
 
 _COMPARED = (
     "productivity",
@@ -284,7 +285,7 @@ _BY_NAME = {m.name: m for group in METRICS.values() for m in group}
 
 
 def _add_count(metric):
-    """Returns a column with that which tells how many events it is over."""
+    """Returns a column and, if there is one, the column of its events."""
     count = _BY_NAME.get(metric.name.removesuffix("_s") + "_events")
     return (metric, count) if count else (metric,)
 
@@ -301,7 +302,7 @@ def make_cell_table(results: Results, cells, metrics) -> dict:
         `head`, pairs (label, unit), and `rows`, pairs (cell, texts).
     """
 
-    def tell(cell, metric):
+    def write(cell, metric):
         value = results.estimate(cell, metric.name)
         if metric.is_count and value.count:
             return _count_in_runs(results, cell, metric)
@@ -316,7 +317,7 @@ def make_cell_table(results: Results, cells, metrics) -> dict:
 
     return {
         "head": [(m.label, m.unit) for m in metrics],
-        "rows": [(cell, [tell(cell, m) for m in metrics]) for cell in cells],
+        "rows": [(cell, [write(cell, m) for m in metrics]) for cell in cells],
     }
 
 
@@ -339,8 +340,8 @@ def make_difference_table(results: Results, pairs, metrics) -> dict:
         metrics: Columns.
 
     Returns:
-        `head` as in `make_cell_table`, and `rows`, pairs (label, entries) of
-        which each is (text, whether 0 is outside of the interval).
+        `head` as in `make_cell_table`, and `rows`, pairs (label, entries).
+        An entry is (text, whether 0 is outside the interval).
     """
     rows = []
     for first, second in pairs:
@@ -367,9 +368,9 @@ def _format(value, metric, *, sign=False):
 
 
 def list_pairs(results: Results) -> dict[str, list[tuple[Cell, Cell]]]:
-    """Returns the pairs of cells that are worth comparing, by what differs.
+    """Returns the pairs of cells worth comparing, by what differs.
 
-    Only pairs of which both were run.
+    Only pairs that were both run.
     """
     cells = results.cells
     plain = [cell for cell in cells if not cell.variant]
@@ -437,7 +438,7 @@ def make_claim_row(claim: Claim) -> dict:
 def make_verdict(
     results: Results, found: list[Claim], failures: dict[str, str]
 ) -> list[tuple[str, str]]:
-    """Says in plain words what came out.
+    """Returns the results in plain words.
 
     Args:
         results: Of the campaign.
@@ -447,75 +448,12 @@ def make_verdict(
     Returns:
         (grade, sentence) pairs; grade is `good`, `bad` or `note`.
     """
-    verdict = []
-    count = {
-        kind: sum(claim.verdict == kind for claim in found)
-        for kind in (REPRODUCED, NOT_REPRODUCED, UNDECIDED, NO_VALUE, NOT_RUN)
-    }
-    judged = len(found) - count[NOT_RUN] - count[NO_VALUE]
-    if len(results.trials) == 1:
-        verdict.append(
-            (
-                "note",
-                "One trial has no confidence interval: no claim of the paper "
-                "can be decided, whatever the numbers look like. The option "
-                "--trials 5 adds trials to this campaign.",
-            )
-        )
-    else:
-        verdict.append(
-            (
-                "note",
-                f"Of {_count(judged, 'claim')} of the paper that this "
-                f"campaign can judge, {_be(count[REPRODUCED])} reproduced, "
-                f"{_be(count[NOT_REPRODUCED])} not, and "
-                f"{_be(count[UNDECIDED])} undecided.",
-            )
-        )
     runs = results.count_runs()
-    plain = [cell for cell in results.cells if not cell.variant]
-    contacts = results.total("contacts_while_moving", plain)
-    with_contact = sum(
-        value > 0
-        for cell in plain
-        for value in results.values(cell, "contacts_while_moving").values()
-    )
-    plain_runs = sum(len(results.values(cell, "finished")) for cell in plain)
-    if contacts:
-        verdict.append(
-            (
-                "bad",
-                f"In {with_contact} of {_count(plain_runs, 'run')} the moving "
-                "robot "
-                f"touched the person ({count_of(round(contacts), 'contact')}). "
-                "Runs with a "
-                f"contact: {_count_by_configuration(results, plain)}.",
-            )
-        )
-    elif plain_runs:
-        bound = 100 * calc_rate_bound(plain_runs)
-        verdict.append(
-            (
-                "good",
-                f"The moving robot touched nobody in "
-                f"{_count(plain_runs, 'run')}. That "
-                f"only bounds the rate of contacts below {bound:.1f} % per "
-                "run, with 95 % confidence.",
-            )
-        )
-    unfinished = runs - results.total("finished")
-    if unfinished:
-        verdict.append(
-            (
-                "note",
-                f"In {unfinished:.0f} of {_count(runs, 'run')} the task was "
-                "not finished when the time was up: "
-                f"{_describe_unfinished(results)}. In brackets, for how much "
-                "of the time the person was truly within the distance at "
-                "which the law stops the robot. Their productivity is that "
-                "of the part that was done.",
-            )
-        )
+    verdict = [
+        _judge_claims(results, found),
+        *_judge_contacts(results),
+        *_judge_unfinished(results),
+    ]
     if failures:
         verdict.append(
             (
@@ -527,6 +465,75 @@ def make_verdict(
     return verdict
 
 
+def _judge_claims(results, found):
+    if len(results.trials) == 1:
+        return (
+            "note",
+            "One trial has no confidence interval: no claim of the paper "
+            "can be decided, whatever the numbers look like. The option "
+            "--trials 5 adds trials to this campaign.",
+        )
+    count = collections.Counter(claim.verdict for claim in found)
+    judged = len(found) - count[NOT_RUN] - count[NO_VALUE]
+    return (
+        "note",
+        f"Of {_count(judged, 'claim')} of the paper that this campaign can "
+        f"judge, {_be(count[REPRODUCED])} reproduced, "
+        f"{_be(count[NOT_REPRODUCED])} not, and {_be(count[UNDECIDED])} "
+        "undecided.",
+    )
+
+
+def _judge_contacts(results):
+    plain = [cell for cell in results.cells if not cell.variant]
+    runs = sum(len(results.values(cell, "finished")) for cell in plain)
+    contacts = results.total("contacts_while_moving", plain)
+    if contacts:
+        with_contact = sum(
+            value > 0
+            for cell in plain
+            for value in results.values(cell, "contacts_while_moving").values()
+        )
+        return [
+            (
+                "bad",
+                f"In {with_contact} of {_count(runs, 'run')} the moving robot "
+                f"touched the person ({count_of(round(contacts), 'contact')}). "
+                "Runs with a contact: "
+                f"{_count_by_configuration(results, plain)}.",
+            )
+        ]
+    if not runs:
+        return []
+    bound = 100 * calc_rate_bound(runs)
+    return [
+        (
+            "good",
+            f"The moving robot touched nobody in {_count(runs, 'run')}. That "
+            f"only bounds the rate of contacts below {bound:.1f} % per run, "
+            "with 95 % confidence.",
+        )
+    ]
+
+
+def _judge_unfinished(results):
+    runs = results.count_runs()
+    unfinished = runs - results.total("finished")
+    if not unfinished:
+        return []
+    return [
+        (
+            "note",
+            f"In {unfinished:.0f} of {_count(runs, 'run')} the task was not "
+            "finished when the time was up: "
+            f"{_describe_unfinished(results)}. In brackets, for how much of "
+            "the time the person was truly within the distance at which the "
+            "law stops the robot. Their productivity is that of the part "
+            "that was done.",
+        )
+    ]
+
+
 def _count(count, noun):
     return f"{count} {noun}{'' if count == 1 else 's'}"
 
@@ -536,7 +543,7 @@ def _be(count):
 
 
 def _describe_unfinished(results):
-    """Tells by cell what was not finished, and for how long a stop was due."""
+    """Lists by cell what was not finished, and how long a stop was due."""
     parts = []
     for cell in results.cells:
         finished = results.values(cell, "finished")
@@ -616,7 +623,7 @@ def list_figures(
             campaign_figures.make_radar_figure,
             "Four radars: reaction time, times to stop and to reduce, tool "
             "speed at a stop, separation at events. The numbers are in the "
-            "table beside.",
+            "table beside it.",
             (results,),
         ),
     }
@@ -625,7 +632,7 @@ def list_figures(
 def read_first_runs(folder: Path, plan: Plan) -> dict[Cell, Samples]:
     """Reads what the figures need of one run of each cell without a variant.
 
-    The first trial that is there; cells without any are left out.
+    Takes the first trial there is; leaves out cells without any.
 
     Raises:
         UserError: The samples of a finished run are missing or broken.
@@ -705,7 +712,7 @@ def write_campaign_report(
         The report's path.
 
     Raises:
-        UserError: The folder can not be written.
+        UserError: The folder cannot be written.
     """
     results = Results(rows)
     samples = read_first_runs(folder, plan)
@@ -714,7 +721,7 @@ def write_campaign_report(
     for name, (make, description, arguments) in drawn.items():
         figure = make(*arguments)
         svg = figures.to_svg(figure)
-        # Where everything goes is known by now, and a third of the work.
+        # The layout is done by now; it is a third of the work.
         figure.set_layout_engine("none")
         png = figures.to_png(figure)
         pictures[name] = Picture(
@@ -733,7 +740,7 @@ def write_campaign_report(
         command=command,
         failures=failures or {},
     )
-    # Nothing is written before all is made.
+    # Nothing is written before everything is made.
     where = Path(folder) / "figures"
     where.mkdir(exist_ok=True)
     for name, content in contents.items():
@@ -768,8 +775,6 @@ def make_campaign_report(
     """
     found = check_claims(results)
     plain = [cell for cell in results.cells if not cell.variant]
-    pairs = list_pairs(results)
-    compared = [_BY_NAME[name] for name in _COMPARED]
     sensings = list(dict.fromkeys(cell.sensing for cell in plain))
     return render_page(
         "campaign.html.jinja",
@@ -778,39 +783,10 @@ def make_campaign_report(
         verdict=make_verdict(results, found, failures),
         claims=[make_claim_row(claim) for claim in found],
         pictures=pictures,
-        tables={
-            name: make_cell_table(results, plain, metrics)
-            for name, metrics in METRICS.items()
-        },
-        radar_table=make_cell_table(
-            results,
-            plain,
-            [
-                column
-                for _, curves in campaign_figures.RADARS
-                for metric, _ in curves
-                for column in _add_count(_BY_NAME[metric])
-            ],
-        ),
-        audit=make_cell_table(results, plain, AUDIT_METRICS),
-        # Who does not monitor the person's speed may not count on it.
-        monitored=make_cell_table(
-            results,
-            [cell for cell in plain if cell.configuration == "vo"],
-            MONITORED_METRICS,
-        ),
-        has_audit=any(
-            results.estimate(cell, AUDIT_METRICS[0].name).count
-            for cell in plain
-        ),
+        **_make_tables(results, plain),
         latencies=make_latency_table(latencies),
         sensings=[(s, campaign_figures.SENSING_NAME[s]) for s in sensings],
         parameters=parameters,
-        differences={
-            name: make_difference_table(results, rows, compared)
-            for name, rows in pairs.items()
-            if rows
-        },
         studies=list(VARIANTS.values()),
         studied=describe_studies(results),
         people=_make_people(plan),
@@ -823,8 +799,39 @@ def make_campaign_report(
     )
 
 
+def _make_tables(results, plain):
+    """Returns the tables of the report by the template's names."""
+    radar_metrics = [
+        column
+        for _, curves in campaign_figures.RADARS
+        for metric, _ in curves
+        for column in _add_count(_BY_NAME[metric])
+    ]
+    # A law that does not monitor the person's speed must not rely on it.
+    monitored = [cell for cell in plain if cell.configuration == "vo"]
+    shortfall = AUDIT_METRICS[0].name
+    compared = [_BY_NAME[name] for name in _COMPARED]
+    return {
+        "tables": {
+            name: make_cell_table(results, plain, metrics)
+            for name, metrics in METRICS.items()
+        },
+        "radar_table": make_cell_table(results, plain, radar_metrics),
+        "audit": make_cell_table(results, plain, AUDIT_METRICS),
+        "monitored": make_cell_table(results, monitored, MONITORED_METRICS),
+        "has_audit": any(
+            results.estimate(cell, shortfall).count for cell in plain
+        ),
+        "differences": {
+            name: make_difference_table(results, rows, compared)
+            for name, rows in list_pairs(results).items()
+            if rows
+        },
+    }
+
+
 def describe_studies(results: Results) -> str:
-    """Tells which studies were run, and which others there are."""
+    """Returns which studies were run, and which others there are."""
     cells = results.cells
     run = [k for k in VARIANTS if any(c.variant == k for c in cells)]
     plain = [cell for cell in cells if not cell.variant]
@@ -852,7 +859,7 @@ def _name_studies(keys):
 
 
 def _describe_alone(results):
-    """Tells what the run without a person took; empty if it is missing."""
+    """Returns how long the run without a person took; empty: no such run."""
     if results.alone is None:
         return ""
     time = results.alone["task_time_s"]

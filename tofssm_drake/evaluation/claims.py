@@ -1,4 +1,4 @@
-"""What the paper says came out, held against a campaign's results.
+"""The claims of the paper, compared with a campaign's results.
 
 Each claim is a function from results to a verdict with the numbers behind
 it. The rules are the same for all and were fixed before any run:
@@ -6,16 +6,15 @@ it. The rules are the same for all and were fixed before any run:
 - A claim that one cell exceeds others is *reproduced* if the paired
   difference to each of them is above 0 with 95 % confidence; *not
   reproduced* if the difference to any of them is below 0 with 95 %
-  confidence; *undecided* else.
+  confidence; *undecided* otherwise.
 - A claim that a value is about x is *reproduced* if the 95 % confidence
   interval of the mean lies within x +- 20 %; *not reproduced* if it lies
-  outside of it; *undecided* else.
+  outside; *undecided* otherwise.
 - A claim of several parts is not reproduced if one of them is not, and
   reproduced if all of them are.
-- *Not run*: the campaign lacks a cell that the claim speaks of.
-- *No value*: all of them were run, but in one there is nothing to compare,
-  because what the claim speaks of never happened there; the other parts
-  decide nothing against the claim.
+- *Not run*: the campaign lacks a cell of the claim.
+- *No value*: all of them were run, but in one the event that the claim is
+  about never happened, and no other part decides against the claim.
 """
 
 from collections.abc import Callable
@@ -61,7 +60,7 @@ class Evidence:
 
 @dc.dataclass(frozen=True, kw_only=True)
 class Claim:
-    """A claim of the paper with what came out here."""
+    """A claim of the paper with the result of this campaign."""
 
     key: str
     """Short name."""
@@ -75,10 +74,10 @@ class Claim:
     digits: int = 3
     """Of the evidence, after the decimal point."""
     note: str = ""
-    """What else one has to know."""
+    """What else the reader should know."""
     why: str = ""
-    """Why it is not reproduced or undecided, as far as the results tell; empty
-    unless so, and where there are too few trials to say anything."""
+    """Why it is not reproduced or undecided, as far as the results show; empty
+    if it is reproduced, or with too few trials to say anything."""
 
 
 def judge_positive(difference: Estimate) -> str:
@@ -113,7 +112,7 @@ def combine(verdicts: list[str]) -> str:
 
 
 def _check_run(results, cells, verdict):
-    """Returns the verdict; that of cells that were run is not "not run"."""
+    """Returns the verdict; "no value" if "not run" but all cells were run."""
     is_run = all(cell in results.cells for cell in cells)
     return NO_VALUE if verdict == NOT_RUN and is_run else verdict
 
@@ -124,7 +123,7 @@ def _orient(pairs, least):
 
 
 def _compare(results, metric, pairs, *, least=False, scale=1.0):
-    """Evidence that the first of each pair has more of the metric.
+    """Returns evidence that the first of each pair has more of the metric.
 
     Args:
         results: Of the campaign.
@@ -170,7 +169,7 @@ def _find_cells(pairs):
 
 
 def _claim_safety(results, key, text, pairs, *, least=False, why=""):
-    """A claim on the safety metric, with what the other averages say."""
+    """Returns a claim on the safety metric, by all three averages."""
     metrics = list(SAFETY)
     evidence = _compare(results, metrics[0], pairs, least=least)
     others = []
@@ -200,7 +199,7 @@ def _claim_safety(results, key, text, pairs, *, least=False, why=""):
 
 
 def _claim_productivity(results, key, text, pairs, *, by="sensing"):
-    """A claim on productivity, with the time that is lost.
+    """Returns a claim on productivity, with the time that is lost.
 
     Args:
         results: Of the campaign.
@@ -226,7 +225,7 @@ def _claim_productivity(results, key, text, pairs, *, by="sensing"):
 
 
 def _claim_separation(results, key, text, metric, target, asked):
-    """A claim on the separation of Real and Ideal at events.
+    """Returns a claim on the separation of Real and Ideal at events.
 
     Args:
         results: Of the campaign.
@@ -253,7 +252,7 @@ def _claim_separation(results, key, text, metric, target, asked):
 
 
 def _about(results, metric, targets, *, scale=1.0):
-    """Evidence that cells have about what the paper reports.
+    """Returns evidence that cells have about the value of the paper.
 
     Args:
         results: Of the campaign.
@@ -294,9 +293,9 @@ def claim_rmse(results: Results) -> Claim:
             [(make_cell(s, "vo"), target) for s, target in targets.items()],
             scale=1000.0,
         ),
-        "Distances with the radius of what they are measured from taken off, "
-        "in configuration Vo. The distance from a link's centre to a surface "
-        "can not be 9 mm from that between two surfaces.",
+        "Distances minus the radius of the body that is measured from, in "
+        "configuration Vo. The distance from a link's centre to a surface "
+        "cannot be within 9 mm of that between two surfaces.",
         why=explanations.explain_errors(results),
         digits=0,
     )
@@ -687,7 +686,7 @@ def claim_vo_smoother(results: Results) -> Claim:
         explanations.join(
             "An episode lasts from leaving the normal state until the robot "
             "is back in it for half a second.",
-            explanations.tell_long_episodes(results),
+            explanations.list_long_episodes(results),
         ),
         why=explanations.explain_chatter(results),
         digits=2,

@@ -1,8 +1,8 @@
-"""Why a claim of the paper does not hold, as far as the results tell.
+"""Why a claim of the paper does not hold, as far as the results show.
 
-Each explanation is a function from results to sentences. What it states of
-this campaign it takes from the campaign's numbers: other numbers give other
-sentences, and cells that were not run are not spoken of.
+Each explanation is a function from results to sentences. What it says about
+this campaign comes from the campaign's numbers: other numbers give other
+sentences, and cells that were not run are not mentioned.
 """
 
 import dataclasses as dc
@@ -31,7 +31,7 @@ def make_cells(sensings=SENSINGS, configurations=CONFIGURATIONS) -> list[Cell]:
 
 
 def _get_means(results, metric, cells):
-    """Returns the means of the cells for which there is one."""
+    """Returns the means of the cells that have one."""
     estimates = {cell: results.estimate(cell, metric) for cell in cells}
     return {cell: e.mean for cell, e in estimates.items() if e.count}
 
@@ -56,18 +56,18 @@ def _format(value, digits):
     return f"{value:.{digits}f}".replace("-", "\u2212")
 
 
-def _tell(head, listed):
+def _write(head, listed):
     """Returns a sentence; empty if there is nothing to list."""
     return f"{head}: {listed}." if listed else ""
 
 
-def _tell_means(results, head, metric, cells, **options):
+def _write_means(results, head, metric, cells, **options):
     """Returns a sentence that lists a metric's means by cell."""
-    return _tell(head, list_means(results, metric, cells, **options))
+    return _write(head, list_means(results, metric, cells, **options))
 
 
 def join(*sentences: str) -> str:
-    """Returns the sentences that there are as one text."""
+    """Returns the non-empty sentences as one text."""
     return " ".join(sentence for sentence in sentences if sentence)
 
 
@@ -76,7 +76,7 @@ def _name(cells):
 
 
 def explain_errors(results: Results) -> str:
-    """Parts the error of the distances into geometry and sensing."""
+    """Divides the error of the distances into geometry and sensing."""
     cells = make_cells(configurations=("vo",))
     surface = _get_means(results, "distance_rmse_surface_m", cells)
     link = _get_means(results, "distance_rmse_link_m", cells)
@@ -88,22 +88,22 @@ def explain_errors(results: Results) -> str:
         exact, make_cell("tof", "vo"), "distance_rmse_surface_m"
     )
     return join(
-        _tell_means(
+        _write_means(
             results,
-            "Against the true distance from the same place that is measured "
-            "from (a link's centre, the base) the errors are, in mm",
+            "Against the true distance from the point that is measured from (a "
+            "link's centre, the base) the errors are, in mm",
             "distance_rmse_link_m",
             both,
             digits=0,
             scale=1000,
         ),
-        _tell(
+        _write(
             "Less than half of the error is left, so most of it is that these "
-            "places do not stand for the robot's whole surface",
+            "points do not represent the robot's whole surface",
             _name(geometry),
         ),
-        _tell(
-            "Half of it or more is left, which is from what is seen of the "
+        _write(
+            "Half of it or more is left, which comes from what is seen of the "
             "person (gaps between beams, the height of a plane), when, and "
             "how exactly",
             _name(own),
@@ -112,7 +112,7 @@ def explain_errors(results: Results) -> str:
             "Without noise and the other errors of a sensor the rings' error "
             "changes by "
             f"{format_estimate(change.scale(1000.0), digits=0, sign=True)} mm; "
-            "gaps between beams and the age of what is seen stay."
+            "gaps between beams and the age of what is seen remain."
             if change.count
             else ""
         ),
@@ -122,30 +122,32 @@ def explain_errors(results: Results) -> str:
 def explain_times(
     results: Results, cells: list[Cell], *, by: str = "sensing"
 ) -> str:
-    """Tells for how long the robot was stopped and slowed, and which cost it.
+    """Explains which of stops and slow movement cost the robot time.
 
     At half speed half of the time is lost.
 
     Args:
         results: Of the campaign.
-        cells: Those that are compared.
-        by: What those have in common that are compared with each other:
+        cells: The cells that are compared.
+        by: What cells have in common that are compared with each other:
             sensing or configuration.
     """
     groups = {}
     for cell in cells:
         groups.setdefault(getattr(cell, by), []).append(cell)
     return join(
-        _tell_means(
+        _write_means(
             results, "Time stopped per run (s)", "stopped_s", cells, digits=1
         ),
-        _tell_means(results, "At half speed (s)", "reduced_s", cells, digits=1),
+        _write_means(
+            results, "At half speed (s)", "reduced_s", cells, digits=1
+        ),
         *(_conclude_times(results, group) for group in groups.values()),
     )
 
 
 def _conclude_times(results, cells):
-    """Tells what sets the most productive of some cells apart."""
+    """Explains what sets the most productive of some cells apart."""
     productivity = _get_means(results, "productivity", cells)
     stopped = _get_means(results, "stopped_s", cells)
     reduced = _get_means(results, "reduced_s", cells)
@@ -158,7 +160,10 @@ def _conclude_times(results, cells):
     by_slowness = 0.5 * (reduced[worst] - reduced[best])
     head = f"So {best.label} is more productive than {worst.label} "
     if by_stops + by_slowness <= 0.0:
-        return head + "though it loses no less time: not for these times."
+        return (
+            head
+            + "though it loses no less time: these times do not explain it."
+        )
     cause = "stops" if by_stops >= by_slowness else "slow movement"
     return head + (
         f"mostly by its {cause}: it loses {_compare(by_stops)} to stops and "
@@ -171,7 +176,7 @@ def _compare(saved):
 
 
 def count_contacts(results: Results, cells: list[Cell]) -> str:
-    """Tells the contacts while moving, which the safety metric is blind to."""
+    """Lists the contacts while moving, which the safety metric ignores."""
     touched, untouched = [], []
     for cell in cells:
         values = results.values(cell, "contacts_while_moving").values()
@@ -184,8 +189,8 @@ def count_contacts(results: Results, cells: list[Cell]) -> str:
         elif known:
             untouched.append(cell)
     return join(
-        _tell("Contacts while moving", ", ".join(touched)),
-        _tell(
+        _write("Contacts while moving", ", ".join(touched)),
+        _write(
             "Without one" if touched else "Without a contact while moving",
             _name(untouched),
         ),
@@ -198,13 +203,13 @@ def explain_standing(
     metric: str,
     pairs: list[tuple[Cell, Cell]],
 ) -> str:
-    """Tells whether the safety metric follows how long the robot stands.
+    """Explains whether the safety metric follows how long the robot stands.
 
     Args:
         results: Of the campaign.
-        cells: Those that are compared.
+        cells: The cells that are compared.
         metric: The safety metric's average.
-        pairs: Those that decide the claim.
+        pairs: The pairs that decide the claim.
     """
     safety = _get_means(results, metric, cells)
     share = _get_means(results, "stopped_share", cells)
@@ -223,7 +228,7 @@ def explain_standing(
         )
     return join(
         "The metric divides by the tool speed, so a slow robot scores high.",
-        _tell_means(
+        _write_means(
             results,
             "Stopped (% of the time)",
             "stopped_share",
@@ -231,12 +236,12 @@ def explain_standing(
             digits=1,
             scale=100,
         ),
-        _tell(
+        _write(
             "Of the pairs on which the verdict rests, in these the one with "
             "the higher mean is also stopped for a larger share of its time",
             ", ".join(fits),
         ),
-        _tell(
+        _write(
             "In these it is not stopped for a larger share, which contradicts "
             "that"
             if fits
@@ -249,9 +254,9 @@ def explain_standing(
 
 
 def explain_seeing(results: Results, cells: list[Cell]) -> str:
-    """Tells what is seen, missed and taken for a person."""
+    """Lists how often people are seen, missed and falsely detected."""
     return join(
-        _tell_means(
+        _write_means(
             results,
             "Person seen while in range (%)",
             "detection_share",
@@ -259,14 +264,14 @@ def explain_seeing(results: Results, cells: list[Cell]) -> str:
             digits=1,
             scale=100,
         ),
-        _tell_means(
+        _write_means(
             results,
             "Approaches without a stop, per run",
             "missed_events",
             cells,
             digits=1,
         ),
-        _tell_means(
+        _write_means(
             results,
             "Stops without an approach, per run",
             "false_events",
@@ -277,7 +282,7 @@ def explain_seeing(results: Results, cells: list[Cell]) -> str:
 
 
 def explain_earliest(results: Results, cells: list[Cell]) -> str:
-    """Tells whether who reacts first is who stops farthest away."""
+    """Says whether the cell that reacts first also stops farthest away."""
     times = _get_means(results, "reaction_time_s", cells)
     separations = _get_means(results, "separation_at_stop_m", cells)
     both = [cell for cell in times if cell in separations]
@@ -293,8 +298,10 @@ def explain_earliest(results: Results, cells: list[Cell]) -> str:
             "away."
         )
     return join(
-        _tell_means(results, "Mean reaction time (s)", "reaction_time_s", both),
-        _tell_means(
+        _write_means(
+            results, "Mean reaction time (s)", "reaction_time_s", both
+        ),
+        _write_means(
             results,
             "Mean separation at a stop (m)",
             "separation_at_stop_m",
@@ -305,25 +312,25 @@ def explain_earliest(results: Results, cells: list[Cell]) -> str:
 
 
 def explain_late(results: Results, cells: list[Cell]) -> str:
-    """Tells who does not anticipate, and at which distance it stops."""
+    """Lists the cells that react late, and their distances at a stop."""
     times = _get_means(results, "reaction_time_s", cells)
     late = [cell for cell, time in times.items() if time >= 0.0]
     return join(
-        _tell_means(
+        _write_means(
             results,
             "A stop is early where the law asks for more than 0.5 m between "
-            "the surfaces. Its d_C at the stops, from the place that is "
+            "the surfaces. Its d_C at the stops, from the point that is "
             "measured from (a link's centre, with the Lidar the base's axis; "
             "m)",
             "d_C_at_stop_m",
             cells,
         ),
-        _tell("Late on average", _name(late)),
+        _write("Late on average", _name(late)),
     )
 
 
 def explain_real_against_ideal(results: Results) -> str:
-    """Tells with which law the rings come earlier than the true distance."""
+    """Lists the laws with which the rings react before the true distance."""
     earlier, later, studied = [], [], []
     for c in CONFIGURATIONS:
         real, ideal = make_cell("tof", c), make_cell("ideal", c)
@@ -338,13 +345,12 @@ def explain_real_against_ideal(results: Results) -> str:
             difference = format_estimate(value, digits=2, sign=True)
             studied.append(f"{name} {difference} s")
     return join(
-        "Ideal comes without delay here, the rings sample and filter.",
-        _tell("On average earlier than Ideal", ", ".join(earlier)),
-        _tell("Later", ", ".join(later)),
+        "Ideal has no delay here; the rings sample and filter.",
+        _write("On average earlier than Ideal", ", ".join(earlier)),
+        _write("Later", ", ".join(later)),
         explain_seeing(results, make_cells(("tof",))),
-        _tell(
-            "With an Ideal distance that comes 0.1 s late, Ideal \u2212 Real "
-            "is",
+        _write(
+            "With an Ideal distance that is 0.1 s late, Ideal \u2212 Real is",
             ", ".join(studied),
         ),
     )
@@ -352,21 +358,21 @@ def explain_real_against_ideal(results: Results) -> str:
 
 _TIMED = {
     "stop": (
-        "Timed are the stops in which the robot comes to stand; the others "
-        "find it standing or end before",
-        "Over stops that begin at about half of the speed alone (s)",
+        "Stops are timed if the robot comes to a standstill; the others find "
+        "it at a standstill or end before",
+        "Over stops from about half speed only (s)",
     ),
     "reduce": (
-        "Timed are the changes in which the robot gets down to half of the "
-        "speed; the others find it as slow or end before",
-        "Over changes that begin at full speed alone (s)",
+        "Changes are timed if the robot slows to half speed; the others find "
+        "it that slow or end before",
+        "Over changes from full speed only (s)",
     ),
 }
-"""How to tell what is timed, and what of it begins alike."""
+"""How to say which events are timed, and which of them begin alike."""
 
 
 def count_timed(results: Results, kind: str) -> str:
-    """Tells how many of the events have a time to stop, or to reduce.
+    """Lists how many of the events have a time to stop, or to reduce.
 
     Args:
         results: Of the campaign.
@@ -378,11 +384,11 @@ def count_timed(results: Results, kind: str) -> str:
         f"{cell.label} {_format(counted[cell], 0)} of {_format(every[cell], 0)}"
         for cell in every
     )
-    return _tell(f"{_TIMED[kind][0]}; per run", listed)
+    return _write(f"{_TIMED[kind][0]}; per run", listed)
 
 
 def explain_ramps(results: Results, kind: str) -> str:
-    """Tells whether times differ by themselves or by what is timed.
+    """Explains whether times differ, or only which events are timed.
 
     Args:
         results: Of the campaign.
@@ -404,18 +410,18 @@ def explain_ramps(results: Results, kind: str) -> str:
         side = less if left < 0.5 * spread else stays
         side.append(name)
     return join(
-        _tell_means(results, _TIMED[kind][1], alike, make_cells(), digits=3),
-        _tell(
-            "The largest mean less the smallest of the configurations, over "
-            "all that are timed and over these alone (s)",
+        _write_means(results, _TIMED[kind][1], alike, make_cells(), digits=3),
+        _write(
+            "The largest mean of the configurations minus the smallest, over "
+            "all timed events and over these only (s)",
             ", ".join(spreads),
         ),
-        _tell(
+        _write(
             "So most of the difference comes from which events are timed, and "
             "from which speed",
             ", ".join(less),
         ),
-        _tell("Half of it or more does not", ", ".join(stays)),
+        _write("Half of it or more does not", ", ".join(stays)),
     )
 
 
@@ -429,14 +435,14 @@ def _calc_normal_stretch(results, event, cells):
 
 
 def _conclude_greatest(effect, cause, what, agrees, differs):
-    """Tells with which sensings the greatest effect goes with a cause.
+    """Says with which sensings the greatest effect goes with a cause.
 
     Args:
         effect: Mean by cell.
         cause: Likewise, greater where more of the effect is expected.
         what: What the cell with the greatest effect does.
-        agrees: What is so of that cell if it has the greatest cause.
-        differs: Sentence for the others.
+        agrees: What is also true of it if it has the greatest cause.
+        differs: What is true of it otherwise.
     """
     yes, no = [], []
     for s in SENSINGS:
@@ -447,11 +453,11 @@ def _conclude_greatest(effect, cause, what, agrees, differs):
         side = yes if cause[top] >= max(cause[c] for c in cells) else no
         side.append(top.label)
     return join(
-        _tell(
+        _write(
             f"So the configuration that {what} with its sensing {agrees}",
             ", ".join(yes),
         ),
-        _tell(
+        _write(
             f"{'But there' if yes else 'So there'} is one that {what} though "
             f"{differs}",
             ", ".join(no),
@@ -460,25 +466,27 @@ def _conclude_greatest(effect, cause, what, agrees, differs):
 
 
 def explain_speeds(results: Results) -> str:
-    """Tells whether who stops from the highest speed had run the longest."""
+    """Says whether the cell that stops from the highest speed ran longest."""
     cells = make_cells()
     stretch, listed = _calc_normal_stretch(results, "stop_events", cells)
     return join(
-        _tell_means(
+        _write_means(
             results,
             "Tool speed at a stop (m/s)",
             "velocity_change_at_stop_mps",
             cells,
         ),
-        _tell_means(
+        _write_means(
             results,
             "Changes from normal to reduced, per run",
             "reduce_events",
             cells,
             digits=1,
         ),
-        _tell_means(results, "Changes to stop", "stop_events", cells, digits=1),
-        _tell("Time in the normal state per stop (s)", listed),
+        _write_means(
+            results, "Changes to stop", "stop_events", cells, digits=1
+        ),
+        _write("Time in the normal state per stop (s)", listed),
         _conclude_greatest(
             _get_means(results, "velocity_change_at_stop_mps", cells),
             stretch,
@@ -489,18 +497,18 @@ def explain_speeds(results: Results) -> str:
     )
 
 
-def tell_long_episodes(results: Results) -> str:
-    """Tells where changes per episode say nothing."""
+def list_long_episodes(results: Results) -> str:
+    """Lists the cells whose changes per episode say nothing."""
     episodes = _get_means(results, "slow_episodes", make_cells())
-    return _tell(
+    return _write(
         "About one episode lasts the whole run, so that changes per episode "
-        "only tell how long the run was",
+        "only show how long the run was",
         _name([cell for cell, count in episodes.items() if 0 < count <= 1.5]),
     )
 
 
 def explain_chatter(results: Results) -> str:
-    """Tells whether per minute the order is that per episode."""
+    """Says whether the order per minute is that per episode."""
     cells = make_cells()
     per_episode = _get_means(results, "state_changes_per_episode", cells)
     per_minute = _get_means(results, "state_changes_per_min", cells)
@@ -521,25 +529,25 @@ def explain_chatter(results: Results) -> str:
         )
         side.append(" > ".join(cell.label for cell in order))
     return join(
-        _tell_means(
+        _write_means(
             results,
             "Changes of state per episode",
             "state_changes_per_episode",
             cells,
             digits=1,
         ),
-        _tell_means(
+        _write_means(
             results, "Episodes per run", "slow_episodes", cells, digits=1
         ),
-        _tell_means(
+        _write_means(
             results,
             "Changes of state per minute",
             "state_changes_per_min",
             cells,
             digits=0,
         ),
-        _tell("Per minute the means are in the same order", "; ".join(same)),
-        _tell("Per minute they are in another order", "; ".join(other)),
+        _write("Per minute the means are in the same order", "; ".join(same)),
+        _write("Per minute they are in another order", "; ".join(other)),
     )
 
 
@@ -551,13 +559,13 @@ def conclude_separation(
     target: float,
     tolerance: float,
 ) -> str:
-    """Tells whether the law itself asks for another separation.
+    """Says whether the law itself asks for another separation.
 
     Args:
         results: Of the campaign.
         metric: Column of the separation.
         asked: Column of the distance that the law asks for at that time.
-        cells: Those that are compared.
+        cells: The cells that are compared.
         target: What the paper reports, m.
         tolerance: What "about" means, as a fraction.
     """
@@ -565,7 +573,7 @@ def conclude_separation(
     wanted = _get_means(results, asked, cells)
 
     def find_side(value):
-        """-1, 0, 1: less, about the target, more."""
+        """Returns -1, 0, 1: less, about the target, more."""
         off = value - target
         return 0 if abs(off) <= tolerance * target else 1 if off > 0 else -1
 
@@ -593,7 +601,7 @@ def conclude_separation(
 
 
 def conclude_lidar(results: Results) -> str:
-    """Tells whether the law asks for more distance with the Lidar."""
+    """Says whether the law asks for more distance with the Lidar."""
     wanted = _get_means(results, "d_C_at_stop_m", make_cells())
     pairs = [
         (make_cell("lidar", c), make_cell(s, c))
@@ -607,29 +615,29 @@ def conclude_lidar(results: Results) -> str:
     rest = [f"{a.label} than {b.label}" for a, b in known if (a, b) not in more]
     return join(
         f"So the law asks for more with the Lidar in {len(more)} of "
-        f"{len(known)} comparisons, as the workspace's radius is in it: what "
-        "is left of that between the surfaces depends on how far the arm "
-        "reaches out."
+        f"{len(known)} comparisons, as it includes the workspace's radius: "
+        "how much of that is left between the surfaces depends on how far the "
+        "arm reaches out."
         if more
         else "So the law does not ask for more with the Lidar.",
-        _tell("It asks for no more with", ", ".join(rest)) if more else "",
+        _write("It asks for no more with", ", ".join(rest)) if more else "",
     )
 
 
 def explain_law_distances(
     results: Results, name: str, metric: str, cells: list[Cell]
 ) -> str:
-    """Tells which distance the law itself asked for.
+    """Lists the distance that the law itself asked for.
 
     Args:
         results: Of the campaign.
         name: Of that distance, with when.
         metric: Its column.
-        cells: Those that are compared.
+        cells: The cells that are compared.
     """
-    return _tell_means(
+    return _write_means(
         results,
-        f"The law's own {name}, from the place that is measured from (m)",
+        f"The law's own {name}, from the point that is measured from (m)",
         metric,
         cells,
     )
@@ -644,18 +652,18 @@ def explain_studies(
     digits: int = 2,
     scale: float = 1.0,
 ) -> str:
-    """Tells by how much the studies that were run change what is claimed.
+    """Lists by how much the studies that were run change what is claimed.
 
-    A change whose interval contains 0 is not decided: that does not say that
-    there is none.
+    A change whose interval contains 0 is not decided, which does not mean
+    that there is no change.
 
     Args:
         results: Of the campaign.
         metric: Column.
-        cells: Those that the claim speaks of.
-        pairs: (first, second) if the claim is on the difference first -
-            second: then it is that difference that changes, and what changes
-            both alike does not count.
+        cells: The cells of the claim.
+        pairs: (first, second) if the claim is about the difference first -
+            second: then the change of that difference counts, not what
+            changes both alike.
         digits: Of the changes.
         scale: From the column's unit to that of the text.
     """
@@ -671,7 +679,7 @@ def explain_studies(
     if not changes:
         return ""
 
-    def tell(listed):
+    def write(listed):
         return "; ".join(
             f"{name} {format_estimate(value, digits=digits, sign=True)}"
             for name, value in listed
@@ -691,17 +699,18 @@ def explain_studies(
     shown = f" The {_SHOWN} largest" if len(rest) > _SHOWN else ""
     return join(
         f"What the studies change of {what} (95 % confidence; {count}).",
-        _tell("Decided", tell(decided)),
-        f"{'Else no' if decided else 'No'} change is decided by these trials, "
-        f"which does not say that there is none.{shown or ' They are'}: "
-        f"{tell(rest[:_SHOWN])}."
+        _write("Decided", write(decided)),
+        f"{'Otherwise no' if decided else 'No'} change is decided by these "
+        "trials, which does not mean that there is none."
+        f"{shown or ' They are'}: "
+        f"{write(rest[:_SHOWN])}."
         if rest
         else "",
     )
 
 
 _SHOWN = 4
-"""How many changes that are not decided are told."""
+"""Number of undecided changes that are shown."""
 
 
 def _list_changes(results, metric, cells):
@@ -716,7 +725,7 @@ def _list_changes(results, metric, cells):
 def _list_difference_changes(results, metric, pairs):
     """Returns (name, change) of each pair and study, each change once.
 
-    Where only one cell of a pair was studied it is that cell that changes.
+    Where only one cell of a pair was studied, its own change counts.
     """
     studied = [cell.variant for cell in results.cells if cell.variant]
     changes = {}

@@ -1,9 +1,9 @@
 """Figures of a run, from its samples.
 
 Colours are Okabe and Ito's, which people with the usual colour deficiencies
-tell apart; the robot state is also told by hatching and by its own step line,
-so that a grey print reads the same. Every figure comes in two widths: wide,
-and narrow for a phone.
+can distinguish. Hatching and a step line of its own also show the robot
+state, so that it survives a grey print. Every figure comes in two widths:
+wide, and narrow for a phone.
 """
 
 import base64
@@ -161,7 +161,7 @@ def get_watcher(samples: Samples) -> str:
 
 
 def name_link(samples: Samples, link: str) -> str:
-    """Returns what to call one of the watched links, e.g. "base ring"."""
+    """Returns the name of one of the watched links, e.g. "base ring"."""
     noun = {"tof": "ring", "ideal": "link", "lidar": ""}
     return f"{link} {noun[samples.metadata.get('sensing', 'tof')]}".strip()
 
@@ -231,7 +231,7 @@ def _mark_contacts(axes, contacts):
 
 
 def add_legend(ax, handles=None, columns=4):
-    """Puts a legend above the axes, left, in so many columns."""
+    """Puts a legend above the axes, left, in that many columns."""
     options = {} if handles is None else {"handles": handles}
     ax.legend(
         loc="lower left",
@@ -245,7 +245,7 @@ def add_legend(ax, handles=None, columns=4):
 
 
 def _limit_distance(*series):
-    """Returns a top for a distance axis that shows what matters."""
+    """Returns an upper limit for a distance axis that shows what matters."""
     top = [np.nanmax(s) for s in series if np.isfinite(s).any()]
     return float(np.clip(max(top, default=1.5) * 1.05, 1.5, 3.2))
 
@@ -253,17 +253,17 @@ def _limit_distance(*series):
 def thin(
     t: np.ndarray, y: np.ndarray, buckets: int
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Returns a signal's range and median in equal numbers of samples.
+    """Returns a signal's range and median over groups of samples.
 
     Args:
         t: Times, s, (k,).
         y: Values, NaN where there is none, (k,).
-        buckets: How many groups of neighbouring samples at most.
+        buckets: Greatest number of groups of neighbouring samples.
 
     Returns:
         (time, least, median, greatest), (b,) each: the middle of each group
-        and what its values do; NaN where all of them are. With k no more
-        than the buckets, the signal itself, three times.
+        and its values'; NaN where all of them are. If k is at most `buckets`,
+        the signal itself, three times.
     """
     if len(t) <= buckets:
         return t, y, y, y
@@ -286,7 +286,7 @@ def _count_buckets(narrow):
 
 
 def _draw_band(ax, t, y, colour, label, narrow):
-    """Draws a restless signal: its median, on the range that it covers."""
+    """Draws a noisy signal: its median, on the range that it covers."""
     time, least, median, greatest = thin(t, y, _count_buckets(narrow))
     if time is t:
         ax.plot(
@@ -305,26 +305,26 @@ def _draw_band(ax, t, y, colour, label, narrow):
 
 
 def _draw_least(ax, t, y, narrow, **style):
-    """Draws a distance: the least one of what does not fit its own pixel."""
+    """Draws a distance, as the least of the samples that share a pixel."""
     time, least, _, _ = thin(t, y, 2 * _count_buckets(narrow))
     drawstyle = "steps-post" if time is t else "default"
     ax.plot(time, least, drawstyle=drawstyle, **style)
 
 
 def _draw_true(ax, t, true, narrow, **style):
-    """Draws the true distance, if any is known: of real people none is."""
+    """Draws the true distance, if known: with real people it is not."""
     if np.isfinite(true).any():
         style |= {"color": BLACK, "linestyle": (0, (5, 1.5))}
         _draw_least(ax, t, true, narrow, **style)
 
 
 def _is_close(samples):
-    """Whether the time shown is so short that every sample can be seen."""
+    """Returns whether the time shown is short enough to see every sample."""
     return len(samples) <= _count_buckets(True) * 5
 
 
 def make_timeline(samples: Samples, *, narrow: bool = False) -> Figure:
-    """State, tool speed and the deciding ring's distance over time.
+    """Draws state, tool speed and the deciding ring's distance over time.
 
     A long run is broken into rows of at most a minute.
     """
@@ -378,7 +378,7 @@ def make_closeup(
     after: float = 2.5,
     narrow: bool = False,
 ) -> Figure:
-    """The same as `make_timeline` around one instant, s."""
+    """Draws the same as `make_timeline` around one instant, s."""
     part = _cut(samples, time - before, time + after)
     figure = make_timeline(part, narrow=narrow)
     for ax in figure.axes:
@@ -473,147 +473,148 @@ def _draw_distance(ax, samples, columns, narrow, top, touched):
 
 
 def make_plan(samples: Samples, *, narrow: bool = False) -> Figure:
-    """The cell from above with the paths of tool and person."""
+    """Draws the cell from above with the paths of tool and person."""
     with matplotlib.rc_context(STYLE):
         size = (4.3, 5.4) if narrow else (7.4, 6.6)
         figure = Figure(figsize=size, layout="constrained")
         ax = figure.subplots()
         plan = samples.metadata.get("plan", {})
-        for item in plan.get("outlines", []):
-            outline = np.array(item["outline"])
-            ax.add_patch(
-                Polygon(
-                    outline,
-                    facecolor="#ECEEF1",
-                    edgecolor="#B4BAC2",
-                    linewidth=0.8,
-                    zorder=1,
-                )
-            )
-            if item.get("label"):
-                x, y = outline[:, 0].min(), outline[:, 1].max()
-                ax.annotate(
-                    item["label"],
-                    (x, y),
-                    xytext=(4, -4),
-                    textcoords="offset points",
-                    ha="left",
-                    va="top",
-                    fontsize=8,
-                    color="#5A6069",
-                    zorder=1.5,
-                )
-        ax.plot(
-            samples["tcp_x"],
-            samples["tcp_y"],
-            color=GREY,
-            linewidth=1.2,
-            zorder=2,
-        )
-        x, y = samples["person_x"], samples["person_y"]
-        for state, (px, py) in find_place_states(samples).items():
-            ax.plot(
-                px,
-                py,
-                color=STATE_COLOUR[state],
-                linestyle="none",
-                zorder=3,
-                **_PLACE[state],
-            )
-        base = plan.get("robot", [0.0, 0.0])
-        ax.plot(*base, marker="s", color=BLACK, markersize=9, zorder=5)
-        ax.annotate(
-            "robot base",
-            base,
-            xytext=(0, -9),
-            textcoords="offset points",
-            ha="center",
-            va="top",
-            fontsize=8,
-            zorder=6,
-        )
-        known = np.flatnonzero(np.isfinite(x))
-        handles = [
-            Line2D([], [], color=GREY, linewidth=1.2, label="path of the tool")
-        ]
-        if len(known):
-            i = known[0]
-            ax.plot(x[i], y[i], "o", color=BLACK, markersize=5, zorder=6)
-            ax.annotate(
-                "person starts",
-                (x[i], y[i]),
-                xytext=(6, 6),
-                textcoords="offset points",
-                fontsize=8,
-                zorder=6,
-            )
-            handles += [
-                Line2D(
-                    [],
-                    [],
-                    color=STATE_COLOUR[state],
-                    linestyle="none",
-                    label=f"person, robot {STATE_NAME[state]}",
-                    **_PLACE[state],
-                )
-                for state in reversed(RobotState)
-            ]
-        distance = samples["true_distance"]
-        if np.isfinite(distance).any():
-            i = int(np.argmin(distance))
-            px, py = samples["person_point_x"][i], samples["person_point_y"][i]
-            rx, ry = samples["robot_point_x"][i], samples["robot_point_y"][i]
-            ax.plot([rx, px], [ry, py], color=BLACK, linewidth=1.2, zorder=6)
-            ax.plot(
-                (rx + px) / 2,
-                (ry + py) / 2,
-                marker="D",
-                color="white",
-                markeredgecolor=BLACK,
-                markersize=6,
-                linestyle="none",
-                zorder=7,
-            )
-            handles.append(
-                Line2D(
-                    [],
-                    [],
-                    marker="D",
-                    color="white",
-                    markeredgecolor=BLACK,
-                    linestyle="none",
-                    label=f"closest, t = {samples['t'][i]:.1f} s",
-                )
-            )
-        contacts = find_contacts(samples)
-        if contacts:
-            rows = np.searchsorted(samples["t"], [c.time for c in contacts])
-            ax.plot(
-                samples["robot_point_x"][rows],
-                samples["robot_point_y"][rows],
-                marker="X",
-                color=PURPLE,
-                markeredgecolor=BLACK,
-                markersize=9,
-                linestyle="none",
-                zorder=8,
-            )
-            handles.append(
-                Line2D(
-                    [],
-                    [],
-                    marker="X",
-                    color=PURPLE,
-                    markeredgecolor=BLACK,
-                    linestyle="none",
-                    label="contact while moving",
-                )
-            )
+        _draw_outlines(ax, plan.get("outlines", []))
+        handles = _draw_tool_path(ax, samples)
+        _draw_places(ax, samples)
+        _draw_robot_base(ax, plan.get("robot", [0.0, 0.0]))
+        handles += _draw_person_start(ax, samples)
+        handles += _draw_closest(ax, samples)
+        handles += _draw_contacts(ax, samples)
         ax.set_aspect("equal", adjustable="datalim")
         ax.set_xlabel("x (m)")
         ax.set_ylabel("y (m)")
         add_legend(ax, handles, columns=2 if narrow else 3)
     return figure
+
+
+def _draw_outlines(ax, outlines):
+    """Draws what stands in the cell, with its name in the corner."""
+    for item in outlines:
+        outline = np.array(item["outline"])
+        ax.add_patch(
+            Polygon(
+                outline,
+                facecolor="#ECEEF1",
+                edgecolor="#B4BAC2",
+                linewidth=0.8,
+                zorder=1,
+            )
+        )
+        if item.get("label"):
+            ax.annotate(
+                item["label"],
+                (outline[:, 0].min(), outline[:, 1].max()),
+                xytext=(4, -4),
+                textcoords="offset points",
+                ha="left",
+                va="top",
+                fontsize=8,
+                color="#5A6069",
+                zorder=1.5,
+            )
+
+
+def _draw_tool_path(ax, samples):
+    """Draws the path of the tool; returns its legend, as the next do."""
+    style = {"color": GREY, "linewidth": 1.2}
+    ax.plot(samples["tcp_x"], samples["tcp_y"], zorder=2, **style)
+    return [Line2D([], [], label="path of the tool", **style)]
+
+
+def _draw_places(ax, samples):
+    """Draws where the person was, by what the robot did then."""
+    for state, (x, y) in find_place_states(samples).items():
+        style = _PLACE[state] | {"color": STATE_COLOUR[state]}
+        ax.plot(x, y, linestyle="none", zorder=3, **style)
+
+
+def _draw_robot_base(ax, base):
+    ax.plot(*base, marker="s", color=BLACK, markersize=9, zorder=5)
+    ax.annotate(
+        "robot base",
+        base,
+        xytext=(0, -9),
+        textcoords="offset points",
+        ha="center",
+        va="top",
+        fontsize=8,
+        zorder=6,
+    )
+
+
+def _draw_person_start(ax, samples):
+    x, y = samples["person_x"], samples["person_y"]
+    known = np.flatnonzero(np.isfinite(x))
+    if not len(known):
+        return []
+    start = (x[known[0]], y[known[0]])
+    ax.plot(*start, "o", color=BLACK, markersize=5, zorder=6)
+    ax.annotate(
+        "person starts",
+        start,
+        xytext=(6, 6),
+        textcoords="offset points",
+        fontsize=8,
+        zorder=6,
+    )
+    return [
+        Line2D(
+            [],
+            [],
+            color=STATE_COLOUR[state],
+            linestyle="none",
+            label=f"person, robot {STATE_NAME[state]}",
+            **_PLACE[state],
+        )
+        for state in reversed(RobotState)
+    ]
+
+
+def _draw_closest(ax, samples):
+    """Draws where robot and person were closest."""
+    distance = samples["true_distance"]
+    if not np.isfinite(distance).any():
+        return []
+    i = int(np.argmin(distance))
+    px, py = samples["person_point_x"][i], samples["person_point_y"][i]
+    rx, ry = samples["robot_point_x"][i], samples["robot_point_y"][i]
+    ax.plot([rx, px], [ry, py], color=BLACK, linewidth=1.2, zorder=6)
+    style = {
+        "marker": "D",
+        "color": "white",
+        "markeredgecolor": BLACK,
+        "linestyle": "none",
+    }
+    ax.plot((rx + px) / 2, (ry + py) / 2, markersize=6, zorder=7, **style)
+    label = f"closest, t = {samples['t'][i]:.1f} s"
+    return [Line2D([], [], label=label, **style)]
+
+
+def _draw_contacts(ax, samples):
+    contacts = find_contacts(samples)
+    if not contacts:
+        return []
+    rows = np.searchsorted(samples["t"], [c.time for c in contacts])
+    style = {
+        "marker": "X",
+        "color": PURPLE,
+        "markeredgecolor": BLACK,
+        "linestyle": "none",
+    }
+    ax.plot(
+        samples["robot_point_x"][rows],
+        samples["robot_point_y"][rows],
+        markersize=9,
+        zorder=8,
+        **style,
+    )
+    return [Line2D([], [], label="contact while moving", **style)]
 
 
 _PLACE = {
@@ -626,7 +627,7 @@ _PLACE = {
 def find_place_states(
     samples: Samples, *, cell: float = 0.05
 ) -> dict[RobotState, tuple[np.ndarray, np.ndarray]]:
-    """Finds what the robot did most often where the person was.
+    """Finds the robot's most frequent state wherever the person was.
 
     A person who walks the same path again and again would otherwise cover
     the trace of the first time with that of the last.
@@ -637,7 +638,7 @@ def find_place_states(
 
     Returns:
         For each state the places (x, y), m, of the squares in which it was
-        the most frequent: the mean of where the person was in them.
+        the most frequent: the person's mean position in them.
     """
     x, y = samples["person_x"], samples["person_y"]
     known = np.isfinite(x) & np.isfinite(y)
@@ -659,9 +660,9 @@ def find_place_states(
 
 
 def make_rings(samples: Samples, *, narrow: bool = False) -> Figure:
-    """What each ring measured: its distance, and every sensor's readings.
+    """Draws each ring's distance and every sensor's readings.
 
-    A sensing that records no scans has its links' distances only.
+    For a sensing that records no scans, draws the links' distances only.
     """
     rings = samples.rings
     t = samples["t"]
@@ -689,33 +690,32 @@ def make_rings(samples: Samples, *, narrow: bool = False) -> Figure:
         axes[0].set_xlim(t[0], max(t[-1], t[0] + 1e-3))
         axes[-1].set_xlabel("time (s)")
         if image is not None:
-            bar = figure.colorbar(
-                image,
-                ax=axes.tolist(),
-                location="bottom",
-                shrink=0.5,
-                aspect=36,
-                pad=0.01,
-            )
-            bar.set_label("distance read by a sensor (m)")
-            bar.outline.set_visible(False)
-            figure.legend(
-                handles=[
-                    Patch(facecolor="white", edgecolor=GREY, label="clear"),
-                    Patch(
-                        facecolor="#C9CDD3",
-                        edgecolor="#6C727B",
-                        hatch="xxxx",
-                        linewidth=0,
-                        label="masked (robot or cell)",
-                    ),
-                    Patch(facecolor=BLACK, label="fault"),
-                ],
-                loc="outside lower center",
-                ncols=3,
-            )
+            _add_reading_legend(figure, axes.tolist(), image)
         _mark_contacts(axes, find_contacts(samples))
     return figure
+
+
+def _add_reading_legend(figure, axes, image):
+    bar = figure.colorbar(
+        image, ax=axes, location="bottom", shrink=0.5, aspect=36, pad=0.01
+    )
+    bar.set_label("distance read by a sensor (m)")
+    bar.outline.set_visible(False)
+    figure.legend(
+        handles=[
+            Patch(facecolor="white", edgecolor=GREY, label="clear"),
+            Patch(
+                facecolor="#C9CDD3",
+                edgecolor="#6C727B",
+                hatch="xxxx",
+                linewidth=0,
+                label="masked (robot or cell)",
+            ),
+            Patch(facecolor=BLACK, label="fault"),
+        ],
+        loc="outside lower center",
+        ncols=3,
+    )
 
 
 def _size_rings(rings, strips, narrow):
@@ -815,7 +815,7 @@ def _draw_readings(ax, samples, ring):
         scan["time"], scan["distance"], scan["reading"], edges
     )
     extent = (t[0], t[-1], n - 0.5, -0.5)
-    # Grey with a weave of two tones: reads as hatched at any zoom.
+    # Grey with a weave of two tones looks hatched at any zoom.
     weave = (np.add.outer(2 * np.arange(n), np.arange(len(edges) - 1)) // 4) % 2
     kind = np.full(reading.shape, np.nan)
     kind[reading == Reading.MASKED] = weave[reading == Reading.MASKED]
@@ -845,7 +845,7 @@ def _draw_readings(ax, samples, ring):
 def make_ring_diagram(
     *, beam_azimuth, fov, radius, azimuth, distance, label: str
 ) -> Figure:
-    """A ring seen along its axis: its beams, and where the person was."""
+    """Draws a ring along its axis: its beams, and where the person was."""
     with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(2.6, 2.6), layout="constrained")
         ax = figure.subplots()
@@ -892,7 +892,7 @@ def make_ring_diagram(
 def find_closeup(
     events: list[StateEvent], contacts: list
 ) -> tuple[float, str] | None:
-    """Returns the instant most worth looking at, and what it is.
+    """Returns the instant most worth a closer look, and what it is.
 
     The fastest contact while moving; else the stop from the highest tool
     speed; else the first reduction; None if nothing happened.

@@ -2,6 +2,7 @@
 
 import dataclasses as dc
 import functools
+from typing import NamedTuple
 
 import numpy as np
 from pydrake.geometry import Capsule, SceneGraphInspector, Sphere
@@ -151,7 +152,7 @@ def _measure(a_p, a_q, a_r, i, b_p, b_q, b_r, j):
 
 @njit(cache=True)
 def _find_nearest_axis_point(x, y, z, p, q, r):
-    """Nearest point of the axes of the capsules, as seen from their skins.
+    """Finds the axis point of the capsule whose surface is nearest.
 
     Returns:
         (distance to the surface, and the vector to the axis point); inf and
@@ -173,103 +174,116 @@ def _find_nearest_axis_point(x, y, z, p, q, r):
     return best, best_x, best_y, best_z
 
 
+class _Robot(NamedTuple):
+    """What the kernels take of the robot; Numba knows named tuples."""
+
+    X_WB: np.ndarray
+    """As in `RingKinematics`, like the next three."""
+    X_PJ: np.ndarray
+    site_link: np.ndarray
+    X_AS: np.ndarray
+    link: np.ndarray
+    """As in `RobotCapsules`, like the rest."""
+    p_AP: np.ndarray
+    p_AQ: np.ndarray
+    radius: np.ndarray
+    body: np.ndarray
+
+
 @njit(cache=True)
-def calc_truth(
-    X_WB,
-    X_PJ,
-    site_link,
-    X_AS,
-    link,
-    p_AP,
-    p_AQ,
-    radius,
-    body,
-    q,
-    qd,
-    ends,
-    part_radius,
-    pelvis,
-):
-    """Returns the vector that `TruthLayout` describes (compiled).
+def _calc_truth(robot, q, qd, ends, radii, pelvis, truth):
+    """Writes the vector that `TruthLayout` describes.
 
     Args:
-        X_WB: See `RingKinematics`, like the next three.
-        X_PJ: As above.
-        site_link: As above.
-        X_AS: As above.
-        link: See `RobotCapsules`, like the next four.
-        p_AP: As above.
-        p_AQ: As above.
-        radius: As above.
-        body: As above.
+        robot: A `_Robot`.
         q: Joint angles, rad, (n,).
         qd: Joint speeds, rad/s, (n,).
         ends: Both ends of the person's capsules in world, m, (c, 2, 3).
-        part_radius: Their radii, m, (c,).
-        pelvis: Index of the capsule that tells where the person is.
+        radii: Their radii, m, (c,).
+        pelvis: Index of the capsule whose centre is the person's place.
+        truth: Written, (16 + 3 m,).
     """
     X_WA = np.empty((q.shape[0] + 1, 3, 4))
-    calc_link_poses(X_WB, X_PJ, q, X_WA)
-    g = link.shape[0]
-    p_WP = np.empty((g, 3))
-    p_WQ = np.empty((g, 3))
-    for i in range(g):
-        _pose_point(X_WA[link[i]], p_AP[i], p_WP[i])
-        _pose_point(X_WA[link[i]], p_AQ[i], p_WQ[i])
+    calc_link_poses(robot.X_WB, robot.X_PJ, q, X_WA)
     # Loops instead of slices: they compile in a fraction of the time.
-    c = part_radius.shape[0]
-    part_p = np.empty((c, 3))
-    part_q = np.empty((c, 3))
+    c = radii.shape[0]
+    p_WP = np.empty((c, 3))
+    p_WQ = np.empty((c, 3))
     for j in range(c):
         for k in range(3):
-            part_p[j, k] = ends[j, 0, k]
-            part_q[j, k] = ends[j, 1, k]
+            p_WP[j, k] = ends[j, 0, k]
+            p_WQ[j, k] = ends[j, 1, k]
+    _write_nearest(robot, X_WA, qd, p_WP, p_WQ, radii, truth)
+    _write_sites(robot, q, qd, p_WP, p_WQ, radii, truth)
+    truth[14] = np.nan
+    truth[15] = np.nan
+    if c:
+        for k in range(2):
+            truth[14 + k] = 0.5 * (p_WP[pelvis, k] + p_WQ[pelvis, k])
 
-    m = site_link.shape[0] - 1
-    truth = np.empty(16 + 3 * m)
+
+@njit(cache=True)
+def _write_nearest(robot, X_WA, qd, p_WP, p_WQ, radii, truth):
+    """Writes the distance between robot and person, and their contact."""
+    g = robot.link.shape[0]
+    p_WA = np.empty((g, 3))
+    p_WB = np.empty((g, 3))
+    for i in range(g):
+        _pose_point(X_WA[robot.link[i]], robot.p_AP[i], p_WA[i])
+        _pose_point(X_WA[robot.link[i]], robot.p_AQ[i], p_WB[i])
     d, i, j, p_WR, p_WH = closest_capsules(
-        p_WP, p_WQ, radius, part_p, part_q, part_radius
+        p_WA, p_WB, robot.radius, p_WP, p_WQ, radii
     )
     truth[0] = d
     for k in range(3):
         truth[1 + k] = p_WR[k]
         truth[4 + k] = p_WH[k]
-    truth[7] = -1 if i < 0 else body[i]
+    truth[7] = -1 if i < 0 else robot.body[i]
     truth[8] = j
     truth[9] = 0.0
-    if d <= 0.0:
-        touching = False
-        for i in range(g):
-            for j in range(c):
-                d, p_WR = _measure(
-                    p_WP, p_WQ, radius, i, part_p, part_q, part_radius, j
-                )
-                if d <= 0.0:
-                    speed = _point_speed(X_WA, qd, link[i], p_WR)
-                    if not touching or speed > truth[9]:
-                        truth[7] = body[i]
-                        truth[8] = j
-                        truth[9] = speed
-                        touching = True
+    if d > 0.0:
+        return
+    # Of all pairs that touch, the one whose robot point is the fastest.
+    touching = False
+    for i in range(g):
+        for j in range(radii.shape[0]):
+            d, p_WR = _measure(
+                p_WA, p_WB, robot.radius, i, p_WP, p_WQ, radii, j
+            )
+            if d <= 0.0:
+                speed = _point_speed(X_WA, qd, robot.link[i], p_WR)
+                if not touching or speed > truth[9]:
+                    truth[7] = robot.body[i]
+                    truth[8] = j
+                    truth[9] = speed
+                    touching = True
 
+
+@njit(cache=True)
+def _write_sites(robot, q, qd, p_WP, p_WQ, radii, truth):
+    """Writes where the tool is, and the person as seen from each link."""
+    m = robot.site_link.shape[0] - 1
     X_WS = np.empty((m + 1, 3, 4))
     v_WS = np.empty((m + 1, 3))
-    calc_sites(X_WB, X_PJ, site_link, X_AS, q, qd, X_WS, v_WS)
+    calc_sites(
+        robot.X_WB,
+        robot.X_PJ,
+        robot.site_link,
+        robot.X_AS,
+        q,
+        qd,
+        X_WS,
+        v_WS,
+    )
     for k in range(3):
         truth[10 + k] = X_WS[m, k, 3]
     vx, vy, vz = v_WS[m, 0], v_WS[m, 1], v_WS[m, 2]
     truth[13] = np.sqrt(vx * vx + vy * vy + vz * vz)
-    if c:
-        truth[14] = 0.5 * (part_p[pelvis, 0] + part_q[pelvis, 0])
-        truth[15] = 0.5 * (part_p[pelvis, 1] + part_q[pelvis, 1])
-    else:
-        truth[14] = np.nan
-        truth[15] = np.nan
     for k in range(m):
         X = X_WS[k]
         # The surface's nearest point lies in the direction of the axis'.
         d, v0, v1, v2 = _find_nearest_axis_point(
-            X[0, 3], X[1, 3], X[2, 3], part_p, part_q, part_radius
+            X[0, 3], X[1, 3], X[2, 3], p_WP, p_WQ, radii
         )
         x = X[0, 0] * v0 + X[1, 0] * v1 + X[2, 0] * v2
         y = X[0, 1] * v0 + X[1, 1] * v1 + X[2, 1] * v2
@@ -277,56 +291,23 @@ def calc_truth(
         truth[16 + k] = d
         truth[16 + m + k] = np.arctan2(y, x)
         truth[16 + 2 * m + k] = np.arctan2(z, np.sqrt(x * x + y * y))
-    return truth
 
 
 @njit(cache=True)
-def _calc_truth_rows(
-    X_WB,
-    X_PJ,
-    site_link,
-    X_AS,
-    link,
-    p_AP,
-    p_AQ,
-    radius,
-    body,
-    q,
-    qd,
-    ends,
-    part_radius,
-    pelvis,
-    truth,
-):
+def _calc_truth_rows(robot, q, qd, ends, radii, pelvis, truth):
+    """Writes one row (k, 16 + 3 m) for each of k instants."""
     for i in range(q.shape[0]):
-        row = calc_truth(
-            X_WB,
-            X_PJ,
-            site_link,
-            X_AS,
-            link,
-            p_AP,
-            p_AQ,
-            radius,
-            body,
-            q[i],
-            qd[i],
-            ends[i],
-            part_radius,
-            pelvis,
-        )
-        for k in range(truth.shape[1]):
-            truth[i, k] = row[k]
+        _calc_truth(robot, q[i], qd[i], ends[i], radii, pelvis, truth[i])
 
 
 class TruthModel:
     """Truth from the robot's joints and the person's capsules.
 
-    One kernel for one instant (`GroundTruth`) and for a whole record
-    (`SampleRecorder`). The joints stand for the plant's body poses: the tests
-    hold both equal, and it costs a tenth of reading the poses in Python.
+    One kernel serves one instant (`GroundTruth`) and a whole record
+    (`SampleRecorder`). Poses come from the joints and not from the plant: the
+    tests hold both equal, and it costs a tenth of reading them in Python.
 
-    A product in the gripper is not a part of the robot.
+    A product in the gripper does not count as part of the robot.
 
     Args:
         plant: Finalized plant with the robot, its ring frames and its tool
@@ -337,10 +318,10 @@ class TruthModel:
         models: Names of the model instances that make up the robot. Their
             proximity geometry must be capsules and spheres.
         pelvis: Index of the capsule whose centre is the person's place.
-        kinematics: Where the watched links are instead of at frames of the
-            plant; `rings` then has no effect.
-        link_offset: Taken off the links' distances to the person, which do
-            not fall below 0 by it, m. For a sensing that does so as well.
+        kinematics: Of the watched links, instead of frames of the plant;
+            `rings` then has no effect.
+        link_offset: Subtracted from the links' distances to the person, which
+            end at 0, m. For a sensing that subtracts it as well.
 
     Attributes:
         layout: Where each quantity sits, a `TruthLayout`.
@@ -371,16 +352,16 @@ class TruthModel:
         self._radii = np.array(radii, dtype=float).ravel()
         self._pelvis = pelvis
         self._link_offset = link_offset
-        self._robot = (
-            kinematics.X_WB,
-            kinematics.X_PJ,
-            kinematics.site_link,
-            kinematics.X_AS,
-            robot.link,
-            robot.p_AP,
-            robot.p_AQ,
-            robot.radius,
-            robot.body,
+        self._robot = _Robot(
+            X_WB=kinematics.X_WB,
+            X_PJ=kinematics.X_PJ,
+            site_link=kinematics.site_link,
+            X_AS=kinematics.X_AS,
+            link=robot.link,
+            p_AP=robot.p_AP,
+            p_AQ=robot.p_AQ,
+            radius=robot.radius,
+            body=robot.body,
         )
         self.layout = TruthLayout(len(kinematics.name))
         self.body_names = robot.body_names
@@ -400,7 +381,7 @@ class TruthModel:
         k = len(q)
         truth = np.empty((k, self.layout.size))
         _calc_truth_rows(
-            *self._robot,
+            self._robot,
             np.ascontiguousarray(q),
             np.ascontiguousarray(qd),
             np.ascontiguousarray(skeleton).reshape(k, -1, 2, 3)
@@ -446,10 +427,10 @@ class GroundTruth(LeafSystem):
     whose robot point is the fastest. Without a person (no radii) distances
     are inf, points and angles NaN, and `skeleton` may stay unconnected.
 
-    It is for whoever wants the truth while the simulation runs, such as a
+    Use it where the truth is needed while the simulation runs, as by a
     display or a `Simulator` monitor that ends a run at the first contact.
     The workcell has none: `SampleRecorder` computes the same numbers, from
-    the same `TruthModel`, when the run is over.
+    the same `TruthModel`, after the run.
 
     Args:
         model: What computes the truth.

@@ -1,23 +1,23 @@
-"""Numbers of a run, from its samples only.
+"""Summary numbers of a run, from its samples only.
 
 Definitions:
 
 - *Start-up* lasts until the robot state first leaves stop. The monitor
-  starts stopped, because it has seen nothing yet; that is no stop event.
+  starts stopped, because it has seen nothing yet; that is not a stop event.
 - A *stop event* is a change of the robot state to stop after start-up, a
   *reduce event* one from normal to reduced. Recovering (stop to reduced,
-  reduced to normal) is no event of either kind.
+  reduced to normal) is neither.
 - An *episode* is the time from leaving normal (the first one: from slowing
   down at all) until normal lasts for 0.5 s.
-  Close to a threshold the state changes with every few samples: an episode
-  is what a bystander would call one slowing down.
+  Close to a threshold the state changes every few samples: an episode is
+  what a bystander would call slowing down once.
 - A *standstill* begins when the speed fraction falls below 0.01 after
   start-up.
 - A *contact while moving* is a stretch of ticks in which the robot touches
   the person with a point that moves faster than 0.01 m/s. Stretches less
   than 0.25 s apart are one event, because a swinging limb may leave and
-  return within one and the same collision.
-- A tick stands for the time to the next one.
+  return within the same collision.
+- A tick counts for the time until the next one.
 """
 
 import dataclasses as dc
@@ -54,8 +54,8 @@ class StateEvent:
     duration: float
     """How long the new state lasted, s."""
     ring: str
-    """The ring that decides: the first with the new robot state, by least
-    measured distance; empty where none has it."""
+    """The ring that decides: of those with the new robot state, the one with
+    the least measured distance; empty where none has it."""
     measured_distance: float
     """What that ring measured, m; inf: clear."""
     true_distance: float
@@ -63,7 +63,7 @@ class StateEvent:
     tcp_speed: float
     """Speed of the tool centre point, m/s."""
     reason: str
-    """What the state logic gave as its reason."""
+    """The state logic's reason."""
 
     @property
     def kind(self) -> str:
@@ -77,12 +77,12 @@ class StateEvent:
 
 @dc.dataclass(frozen=True, kw_only=True)
 class Episode:
-    """One time of slowing down, from normal to normal again."""
+    """One slowing down, from normal to normal again."""
 
     time: float
     """When it began, s."""
     duration: float
-    """Until normal came to stay, or until the run ended, s."""
+    """Until normal lasted, or until the run ended, s."""
     lowest: RobotState
     """The slowest state in it."""
     stopped: float
@@ -90,7 +90,7 @@ class Episode:
     rest: bool
     """Whether the robot came to a standstill."""
     changes: int
-    """Changes of state in it, the first included."""
+    """Changes of state in it, including the first."""
     first: StateEvent
     """The change that began it."""
     least_true_distance: float
@@ -99,7 +99,7 @@ class Episode:
 
 @dc.dataclass(frozen=True, kw_only=True)
 class RingView:
-    """What one ring made of the person at one instant."""
+    """How one ring saw the person at one instant."""
 
     ring: str
     state: RobotState
@@ -142,8 +142,8 @@ class Contact:
     views: tuple[RingView, ...]
     """What each ring made of the person at the first tick."""
     last_seen: float
-    """How long before the contact a ring last saw the person, s; 0: it was
-    seen at the contact; inf: never."""
+    """How long before the contact a ring last saw the person, s; 0: at the
+    contact; inf: never."""
     approach: Approach
     """What led to it."""
 
@@ -154,9 +154,9 @@ class Contact:
 
 
 def calc_periods(t: np.ndarray) -> np.ndarray:
-    """Returns the time for which each tick stands, s, shape of t.
+    """Returns the time that each tick counts for, s, shape of t.
 
-    The last one stands for as long as the one before it.
+    The last one counts for as long as the one before it.
     """
     if len(t) < 2:
         return np.zeros(len(t))
@@ -217,7 +217,7 @@ def find_state_events(samples: Samples) -> list[StateEvent]:
 def find_episodes(
     samples: Samples, events: list[StateEvent] | None = None
 ) -> list[Episode]:
-    """Returns the times of slowing down after start-up, in order.
+    """Returns the episodes of slowing down after start-up, in order.
 
     Args:
         samples: The run.
@@ -225,13 +225,15 @@ def find_episodes(
     """
     if events is None:
         events = find_state_events(samples)
-    t, state = samples["t"], samples["robot_state"]
-    periods = calc_periods(t)
-    true_distance = np.maximum(samples["true_distance"], 0.0)
+    return [_make_episode(samples, group) for group in _group_events(events)]
+
+
+def _group_events(events):
+    """Returns the events of each episode."""
     groups = []
     back = -np.inf
     for event in events:
-        # Before the first one normal may never have come to stay.
+        # Before the first episode normal may never have lasted.
         if event.after < event.before and (
             not groups
             or (
@@ -244,35 +246,31 @@ def find_episodes(
             groups[-1].append(event)
         if event.after == RobotState.NORMAL:
             back = event.time
-    episodes = []
-    for group in groups:
-        last = group[-1]
-        end = last.time
-        if last.after != RobotState.NORMAL:
-            end += last.duration
-        rows = slice(*np.searchsorted(t, [group[0].time, end - 1e-9]))
-        stopped = periods[rows][state[rows] == RobotState.STOP].sum()
-        episodes.append(
-            Episode(
-                time=group[0].time,
-                duration=end - group[0].time,
-                lowest=min(event.after for event in group),
-                stopped=float(stopped),
-                rest=bool(
-                    (samples["speed_fraction"][rows] < _STANDSTILL).any()
-                ),
-                changes=len(group),
-                first=group[0],
-                least_true_distance=float(
-                    true_distance[rows].min(initial=np.inf)
-                ),
-            )
-        )
-    return episodes
+    return groups
+
+
+def _make_episode(samples, group):
+    t = samples["t"]
+    end = group[-1].time
+    if group[-1].after != RobotState.NORMAL:
+        end += group[-1].duration
+    rows = slice(*np.searchsorted(t, [group[0].time, end - 1e-9]))
+    is_stopped = samples["robot_state"][rows] == RobotState.STOP
+    distance = np.maximum(samples["true_distance"][rows], 0.0)
+    return Episode(
+        time=group[0].time,
+        duration=end - group[0].time,
+        lowest=min(event.after for event in group),
+        stopped=float(calc_periods(t)[rows][is_stopped].sum()),
+        rest=bool((samples["speed_fraction"][rows] < _STANDSTILL).any()),
+        changes=len(group),
+        first=group[0],
+        least_true_distance=float(distance.min(initial=np.inf)),
+    )
 
 
 def count_standstills(samples: Samples) -> int:
-    """Returns how often the speed fraction fell to nothing after start-up."""
+    """Returns how often the speed fraction fell to 0 after start-up."""
     rest = samples["speed_fraction"] < _STANDSTILL
     moved = np.flatnonzero(~rest)
     if not len(moved):
@@ -331,11 +329,11 @@ def _name(samples, table, column, tick):
 
 
 def make_ring_view(samples: Samples, ring: str, tick: int) -> RingView:
-    """Returns what a ring made of the person at one tick.
+    """Returns how a ring saw the person at one tick.
 
     Args:
         samples: The run. `metadata["ring_geometry"][ring]` (see
-            `make_ring_metadata`) tells where the beams are; without it the
+            `make_ring_metadata`) says where the beams are; without it the
             view does not name sensors.
         ring: Name of the ring.
         tick: Row.
@@ -368,7 +366,7 @@ def make_ring_view(samples: Samples, ring: str, tick: int) -> RingView:
 
 
 def calc_distance_rmse(measured: np.ndarray, true: np.ndarray) -> float | None:
-    """Root of the mean squared error of distances, while in range.
+    """Returns the root mean square error of distances, while in range.
 
     Args:
         measured: Measured distances, m; inf (clear) and NaN are left out.
@@ -387,15 +385,15 @@ def calc_distance_rmse(measured: np.ndarray, true: np.ndarray) -> float | None:
 def calc_detection(
     measured: np.ndarray, in_range: np.ndarray, periods: np.ndarray
 ) -> tuple[float | None, float]:
-    """How often a ring reported the person, and how often it saw ghosts.
+    """Returns how long a ring reported the person, and how long ghosts.
 
     Args:
         measured: Measured distances, m, (k,); inf: clear, NaN: not known.
         in_range: Whether the person was in the sensors' range, (k,).
-        periods: Time for which each tick stands, s, (k,).
+        periods: Time that each tick counts for, s, (k,).
 
     Returns:
-        (share, ghost_s): the share of the time with the person in range in
+        (share, ghost_s): of the time with the person in range, the share in
         which the ring reported any distance (None: never in range); the time
         in which it reported one with nobody in range, s.
     """
@@ -411,7 +409,7 @@ def calc_summary(samples: Samples, *, products: int = 10) -> dict:
 
     Args:
         samples: The run.
-        products: How many products make up the task.
+        products: Number of products of the task.
 
     Returns:
         Plain values (JSON; None where a number does not exist):
@@ -442,35 +440,36 @@ def calc_summary(samples: Samples, *, products: int = 10) -> dict:
           The range is that of the sensors from the link centre, with a
           margin of 0.25 m before a reading counts as a ghost.
     """
-    t = samples["t"]
-    periods = calc_periods(t)
-    state = samples["robot_state"]
-    start = find_start(state)
     events = find_state_events(samples)
-    contacts = find_contacts(samples)
+    return (
+        _summarize_task(samples, products)
+        | _summarize_states(samples, events)
+        | _summarize_safety(samples)
+        | _summarize_sensing(samples)
+    )
+
+
+def _summarize_task(samples, products):
     placed = samples["products_placed"]
     finished = np.flatnonzero(placed >= products) if products else []
+    return {
+        "products_placed": int(placed.max(initial=0)),
+        "task_time_s": (
+            float(samples["t"][finished[0]]) if len(finished) else None
+        ),
+        "simulated_s": float(calc_periods(samples["t"]).sum()),
+    }
+
+
+def _summarize_states(samples, events):
+    periods = calc_periods(samples["t"])
+    state = samples["robot_state"]
+    start = find_start(state)
 
     def duration(value):
         return float(periods[start:][state[start:] == value].sum())
 
-    measured = samples.ring("measured_distance")
-    true = samples.ring("true_distance")
-    reach = np.array([_reach(samples, ring) for ring in samples.rings])
-    near = np.where(true <= reach, true, np.inf)
-    nearest = np.where(np.isnan(measured), np.inf, measured).min(axis=1)
-    detection = {
-        ring: calc_detection(
-            measured[:, i], true[:, i] <= reach[i] + SEEN_TOLERANCE, periods
-        )
-        for i, ring in enumerate(samples.rings)
-    }
-    true_distance = samples["true_distance"]
-    has_person = np.isfinite(true_distance).any()
     return {
-        "products_placed": int(placed.max(initial=0)),
-        "task_time_s": float(t[finished[0]]) if len(finished) else None,
-        "simulated_s": float(periods.sum()),
         "startup_s": float(periods[:start].sum()),
         "stop_events": sum(e.kind == "stop" for e in events),
         "reduce_events": sum(e.kind == "reduce" for e in events),
@@ -479,8 +478,18 @@ def calc_summary(samples: Samples, *, products: int = 10) -> dict:
         "normal_s": duration(RobotState.NORMAL),
         "slow_episodes": len(find_episodes(samples, events)),
         "standstills": count_standstills(samples),
+    }
+
+
+def _summarize_safety(samples):
+    contacts = find_contacts(samples)
+    distance = samples["true_distance"]
+    has_person = np.isfinite(distance).any()
+    start = find_start(samples["robot_state"])
+    due = find_any_due(samples)[start:]
+    return {
         "min_true_distance_m": (
-            max(float(true_distance.min()), 0.0) if has_person else None
+            max(float(distance.min()), 0.0) if has_person else None
         ),
         "contact_while_moving_events": len(contacts),
         "contact_while_moving_max_mps": max(
@@ -488,23 +497,41 @@ def calc_summary(samples: Samples, *, products: int = 10) -> dict:
         ),
         "contacts": [_summarize_contact(c) for c in contacts],
         "late_stops": count_late_stops(samples, start),
-        "stop_due_s": float(
-            periods[start:][find_any_due(samples)[start:]].sum()
-        ),
+        "stop_due_s": float(calc_periods(samples["t"])[start:][due].sum()),
         "max_tcp_speed_mps": float(samples["tcp_speed"].max(initial=0.0)),
+    }
+
+
+def _summarize_sensing(samples):
+    rings = samples.rings
+    measured = samples.ring("measured_distance")
+    true = samples.ring("true_distance")
+    reach = np.array([_reach(samples, ring) for ring in rings])
+    near = np.where(true <= reach, true, np.inf)
+    nearest = np.where(np.isnan(measured), np.inf, measured).min(axis=1)
+    periods = calc_periods(samples["t"])
+    detection = [
+        calc_detection(
+            measured[:, i], true[:, i] <= reach[i] + SEEN_TOLERANCE, periods
+        )
+        for i in range(len(rings))
+    ]
+    return {
         "distance_rmse_m": calc_distance_rmse(measured, near),
         "distance_rmse_by_ring_m": {
             ring: calc_distance_rmse(measured[:, i], near[:, i])
-            for i, ring in enumerate(samples.rings)
+            for i, ring in enumerate(rings)
         },
         "distance_rmse_nearest_m": calc_distance_rmse(
             nearest, near.min(axis=1, initial=np.inf)
         ),
         "detection_share_by_ring": {
-            ring: share for ring, (share, _) in detection.items()
+            ring: share
+            for ring, (share, _) in zip(rings, detection, strict=True)
         },
         "ghost_s_by_ring": {
-            ring: ghost for ring, (_, ghost) in detection.items()
+            ring: ghost
+            for ring, (_, ghost) in zip(rings, detection, strict=True)
         },
     }
 

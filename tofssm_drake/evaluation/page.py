@@ -1,4 +1,4 @@
-"""What the reports have in common: templates, look, pictures."""
+"""What the reports share: templates, look, pictures."""
 
 import dataclasses as dc
 import html
@@ -25,7 +25,7 @@ def make_picture(make, description: str, *args, **options) -> Picture:
 
     Args:
         make: Function that returns the figure and takes `narrow`.
-        description: For who can not see it.
+        description: For readers who cannot see it.
         *args: For `make`.
         **options: For `make`.
     """
@@ -54,7 +54,7 @@ def render_page(template: str, **values) -> str:
     """Returns a page as one HTML document that needs no other file.
 
     Args:
-        template: File name of a template beside this module.
+        template: File name of a template next to this module.
         **values: What it asks for; a missing one is an error.
     """
     folder = importlib.resources.files("tofssm_drake.evaluation")

@@ -27,7 +27,7 @@ from tofssm_drake.messages import (
     make_empty_separation,
 )
 
-# Messages are kept as they are until there are so many.
+# Messages are packed when there are that many.
 _PACK_AT = 512
 # Rows of truth per call, so that few skeletons exist at a time.
 _TRUTH_ROWS = 1024
@@ -62,7 +62,7 @@ def pack_messages(
     k = len(separations)
 
     def stack(messages, field):
-        # Faster than np.stack by far, and this runs during the simulation.
+        # Much faster than np.stack, and this runs during the simulation.
         flat = np.concatenate([getattr(m, field) for m in messages])
         return flat.reshape(k, -1, *flat.shape[1:])
 
@@ -144,7 +144,7 @@ class _Log:
 
 
 def _find_in_force(times, t):
-    """Returns the index of what was in force just before each t.
+    """Returns the index of the entry in force just before each t.
 
     Args:
         times: When each entry came, s, in order; the first is -inf.
@@ -168,15 +168,15 @@ class MessageLog(LeafSystem):
         - masked_scan_elbow
         - masked_scan_tool
 
-    A part of `SampleRecorder`. Like in `VectorLogSink` the log lives in the
+    A part of `SampleRecorder`. As in `VectorLogSink` the log lives in the
     Context, but not in its State.
 
-    The messages are taken in the discrete update of each tick, where the
-    safety law itself evaluates them, and not in a publish: the law's state
-    has changed until then, so that Drake would compute them once more, which
-    costs as much as the law. What is taken at a tick is in force from there
-    on. It is listed when `separation` or a state is new: by contract `dsi`
-    does not change without a new separation.
+    The messages are read in the discrete update of each tick, where the
+    safety law itself evaluates them. A publish would come after the law's
+    state has changed, so that Drake would compute them again, which costs as
+    much as the law. A message read at a tick is in force from then on. It is
+    kept when `separation` or a state is new: by contract `dsi` does not change
+    without a new separation.
 
     Args:
         period: Control tick, s.
@@ -238,7 +238,7 @@ class MessageLog(LeafSystem):
             if len(log.separations) == _PACK_AT:
                 log.pack()
         states = self._ring_states_port.Eval(context).tolist()
-        # Words cost more than numbers: one reason per robot state, and
+        # Text costs more than numbers: one reason per robot state, and
         # another one when the last ring has its first sample.
         why = (min(states), log.some_missing)
         if states != log.states or why != log.why:
@@ -268,6 +268,22 @@ class MessageLog(LeafSystem):
                     )
 
 
+def _lay_out_truth(truth, layout):
+    """Yields name and values of the columns of contacts and places."""
+    yield "contact_speed", truth[:, layout.contact_speed]
+    yield "robot_body", truth[:, layout.robot_body]
+    yield "person_part", truth[:, layout.person_part]
+    for part, where in (
+        ("robot_point", layout.p_WR),
+        ("person_point", layout.p_WH),
+        ("tcp", layout.p_WT),
+        ("person", layout.person),
+    ):
+        # The person's place has x and y only.
+        for axis, values in zip("xyz", truth[:, where].T, strict=False):
+            yield f"{part}_{axis}", values
+
+
 class SampleRecorder(Diagram):
     """Records the run, one row per control tick and one per ring scan.
 
@@ -288,18 +304,18 @@ class SampleRecorder(Diagram):
         - masked_scan_tool
 
     `position` (rad), `velocity` (rad/s) and `products_placed` are the world's;
-    the rest is the monitor's. The person needs no port: where it is follows
+    the rest is the monitor's. The person needs no port: its place follows
     from its motion and the time.
 
     A log has no dynamics and affects no output, so it is not State: it lives
     in the Context like that of Drake's VectorLogSink. A row at t holds what
     was in force when the tick began, before its updates. Vectors are written
     by a periodic publish, hence one row each; of the monitor's messages only
-    new ones are kept, see `MessageLog`. What follows from both, the truth
-    above all, is computed when the samples are asked for.
+    new ones are kept, see `MessageLog`. What follows from both, above all the
+    truth, is computed when the samples are requested.
 
     Args:
-        truth: What computes the truth; its links are those of `rings`.
+        truth: Computes the truth; its links are those of `rings`.
         motion: How the person moves; None: nobody.
         period: Control tick, s.
         rings: Names of the m watched links, as in the messages.
@@ -406,18 +422,8 @@ class SampleRecorder(Diagram):
         for i, ring in enumerate(self._rings):
             for name in RING_COLUMNS:
                 insert(f"{ring}_{name}", per_ring[name][:, i], name)
-        insert("contact_speed", truth[:, layout.contact_speed])
-        insert("robot_body", truth[:, layout.robot_body])
-        insert("person_part", truth[:, layout.person_part])
-        for part, where in (
-            ("robot_point", layout.p_WR),
-            ("person_point", layout.p_WH),
-            ("tcp", layout.p_WT),
-        ):
-            for axis, values in zip("xyz", truth[:, where].T, strict=True):
-                insert(f"{part}_{axis}", values)
-        insert("person_x", truth[:, layout.person.start])
-        insert("person_y", truth[:, layout.person.start + 1])
+        for name, values in _lay_out_truth(truth, layout):
+            insert(name, values)
         column["reason"] = reasons
         scan = {}
         if self._num_sensors:

@@ -88,7 +88,7 @@ def count_of(count: int, noun: str) -> str:
 def make_verdict(
     summary: dict, *, products: int, watcher: str = "the rings"
 ) -> list[tuple[str, str]]:
-    """Says in plain words how the run went.
+    """Returns in plain words how the run went.
 
     Args:
         summary: What `calc_summary` returned.
@@ -98,98 +98,92 @@ def make_verdict(
     Returns:
         (grade, sentence) pairs; grade is `good`, `bad` or `note`.
     """
-    verdict = []
+    late = summary.get("late_stops", 0)
+    return [
+        _judge_contacts(summary),
+        _judge_task(summary, products),
+        _describe_slowing(summary, watcher),
+        *(
+            [
+                (
+                    "note",
+                    f"A stop came late {_times(late)}: the person was truly "
+                    "within a link's critical distance for more than "
+                    f"{USUAL_DELAY:.2f} s before a stop was asked for.",
+                )
+            ]
+            if late
+            else []
+        ),
+    ]
+
+
+def _judge_contacts(summary):
     contacts = summary["contact_while_moving_events"]
     least = summary["min_true_distance_m"]
     if contacts:
-        verdict.append(
-            (
-                "bad",
-                f"The moving robot touched the person: "
-                f"{count_of(contacts, 'contact')}, at up to "
-                f"{summary['contact_while_moving_max_mps']:.3f} m/s.",
-            )
+        return (
+            "bad",
+            "The moving robot touched the person: "
+            f"{count_of(contacts, 'contact')}, at up to "
+            f"{summary['contact_while_moving_max_mps']:.3f} m/s.",
         )
-    elif not summary.get("person_is_known", True):
-        verdict.append(
-            (
-                "note",
-                "A run on real sensors: where people truly were is not known, "
-                "so nothing is told of contacts and true distances.",
-            )
+    if not summary.get("person_is_known", True):
+        return (
+            "note",
+            "A run on real sensors: where people truly were is not known, so "
+            "there is nothing to report on contacts and true distances.",
         )
-    elif least is None:
-        verdict.append(("note", "Nobody was in the cell."))
-    elif least <= 0.0:
-        verdict.append(
-            (
-                "good",
-                "The robot never touched the person while it moved. They did "
-                "touch while it stood still: the person walked into it.",
-            )
+    if least is None:
+        return "note", "Nobody was in the cell."
+    if least <= 0.0:
+        return (
+            "good",
+            "The robot never touched the person while it moved. They did "
+            "touch while it stood still: the person walked into it.",
         )
-    else:
-        verdict.append(
-            (
-                "good",
-                "The robot never touched the person. The nearest they came "
-                f"was {least:.2f} m.",
-            )
-        )
+    return (
+        "good",
+        "The robot never touched the person. The nearest they came was "
+        f"{least:.2f} m.",
+    )
+
+
+def _judge_task(summary, products):
     placed, time = summary["products_placed"], summary["task_time_s"]
-    if time is not None:
-        verdict.append(
-            (
-                "good",
-                f"All {products} products were placed in {time:.1f} s."
-                if products > 1
-                else f"The product was placed in {time:.1f} s.",
-            )
+    if time is None:
+        return (
+            "note",
+            f"{placed} of {count_of(products, 'product')} "
+            f"{'was' if products == 1 else 'were'} placed in the "
+            f"{summary['simulated_s']:.1f} s that were simulated."
+            + _describe_due(summary),
         )
-    else:
-        verdict.append(
-            (
-                "note",
-                f"{placed} of {count_of(products, 'product')} "
-                f"{'was' if products == 1 else 'were'} placed in the "
-                f"{summary['simulated_s']:.1f} s that were simulated."
-                + _describe_due(summary),
-            )
-        )
-    episodes = summary["slow_episodes"]
-    if episodes:
-        standstills = summary["standstills"]
-        stood = (
-            f"brought it to a standstill {_times(standstills)}"
-            if standstills
-            else "never brought it to a standstill"
-        )
-        verdict.append(
-            (
-                "note",
-                f"{watcher[0].upper()}{watcher[1:]} slowed the robot in "
-                f"{count_of(episodes, 'episode')} and {stood}. It was told "
-                f"to stop for {summary['stopped_s']:.1f} s and to run at "
-                f"half speed for {summary['reduced_s']:.1f} s in all.",
-            )
-        )
-    else:
-        verdict.append(("note", "Nothing stopped or slowed the robot."))
-    late = summary.get("late_stops", 0)
-    if late:
-        verdict.append(
-            (
-                "note",
-                f"A stop came late {_times(late)}: the person was truly within "
-                f"a link's critical distance for more than "
-                f"{USUAL_DELAY:.2f} s before a stop was asked for.",
-            )
-        )
-    return verdict
+    if products > 1:
+        return "good", f"All {products} products were placed in {time:.1f} s."
+    return "good", f"The product was placed in {time:.1f} s."
+
+
+def _describe_slowing(summary, watcher):
+    episodes, standstills = summary["slow_episodes"], summary["standstills"]
+    if not episodes:
+        return "note", "Nothing stopped or slowed the robot."
+    stood = (
+        f"brought it to a standstill {_times(standstills)}"
+        if standstills
+        else "never brought it to a standstill"
+    )
+    return (
+        "note",
+        f"{watcher[0].upper()}{watcher[1:]} slowed the robot in "
+        f"{count_of(episodes, 'episode')} and {stood}. It was told to stop "
+        f"for {summary['stopped_s']:.1f} s and to run at half speed for "
+        f"{summary['reduced_s']:.1f} s in all.",
+    )
 
 
 def _describe_due(summary):
-    """Tells for how long a stop was due, where that is most of the time."""
+    """Returns for how long a stop was due, if most of the time."""
     due, simulated = summary.get("stop_due_s"), summary["simulated_s"]
     if due is None or due <= 0.5 * simulated:
         return ""
@@ -204,23 +198,25 @@ def _times(count):
 
 
 def _make_headlines(summary, products):
-    def number(name, digits, unit):
-        return format_number(summary.get(name), digits, unit)
-
-    rmse = summary.get("distance_rmse_m")
-    shares = [
-        share
-        for share in summary.get("detection_share_by_ring", {}).values()
-        if share is not None
+    return [
+        *_make_task_headlines(summary, products),
+        *_make_event_headlines(summary),
+        *_make_sensing_headlines(summary),
     ]
+
+
+def _make_task_headlines(summary, products):
+    finished = summary["task_time_s"] is not None
+    touched = summary["min_true_distance_m"] == 0.0
     return [
         Headline(
             value=f"{summary['products_placed']} of {products}",
             label="products placed",
             note=(
-                f"in {number('task_time_s', 1, 's')}"
-                if summary["task_time_s"] is not None
-                else f"in {number('simulated_s', 1, 's')}, not finished"
+                f"in {format_number(summary['task_time_s'], 1, 's')}"
+                if finished
+                else f"in {format_number(summary['simulated_s'], 1, 's')}, "
+                "not finished"
             ),
         ),
         Headline(
@@ -233,35 +229,49 @@ def _make_headlines(summary, products):
             note="touching faster than 0.01 m/s",
         ),
         Headline(
-            value=number("min_true_distance_m", 2, "m"),
+            value=format_number(summary["min_true_distance_m"], 2, "m"),
             label="least true distance",
-            note=(
-                "they touched"
-                if summary["min_true_distance_m"] == 0.0
-                else "robot's surface to person's"
-            ),
+            note="they touched" if touched else "robot's surface to person's",
         ),
+    ]
+
+
+def _make_event_headlines(summary):
+    stopped = format_number(summary.get("stopped_s"), 1, "s")
+    reduced = format_number(summary.get("reduced_s"), 1, "s")
+    return [
         Headline(
             value=str(summary["stop_events"]),
             label="changes to stop",
-            note=f"{number('stopped_s', 1, 's')} stopped in all",
+            note=f"{stopped} stopped in all",
         ),
         Headline(
             value=str(summary["reduce_events"]),
             label="changes from normal to reduced",
-            note=f"{number('reduced_s', 1, 's')} reduced in all",
+            note=f"{reduced} reduced in all",
         ),
         Headline(
-            value=number("max_tcp_speed_mps", 2, "m/s"),
+            value=format_number(summary.get("max_tcp_speed_mps"), 2, "m/s"),
             label="highest tool speed",
         ),
+    ]
+
+
+def _make_sensing_headlines(summary):
+    rmse = summary.get("distance_rmse_m")
+    shares = [
+        share
+        for share in summary.get("detection_share_by_ring", {}).values()
+        if share is not None
+    ]
+    return [
         Headline(
-            value=(_NONE if rmse is None else f"{1000 * rmse:.0f}\u00a0mm"),
+            value=_NONE if rmse is None else f"{1000 * rmse:.0f}\u00a0mm",
             label="distance error (RMSE)",
             note="measured against truth, in range",
         ),
         Headline(
-            value=(f"{100 * np.mean(shares):.0f}\u00a0%" if shares else _NONE),
+            value=f"{100 * np.mean(shares):.0f}\u00a0%" if shares else _NONE,
             label="person in range and seen",
             note="mean of the links, over time",
         ),
@@ -273,11 +283,11 @@ def _call(link, noun):
 
 
 def describe_contact(contact: Contact, noun: str = "ring") -> list[str]:
-    """Tells one contact in sentences: what, how fast, and who saw it.
+    """Describes one contact in sentences: what, how fast, and who saw it.
 
     Args:
         contact: Which.
-        noun: What a watched link is called after its name.
+        noun: What follows the name of a watched link.
     """
     text = [
         f"At {contact.time:.2f} s the robot's {_words(contact.robot_body)} "
@@ -305,28 +315,12 @@ def describe_contact(contact: Contact, noun: str = "ring") -> list[str]:
 def describe_cause(
     approach: Approach, contact: Contact, noun: str = "ring"
 ) -> str:
-    """Concludes why the robot was still moving; noun: see describe_contact."""
-    ring = approach.ring
-    stopped = math.isfinite(approach.stop)
-    if stopped:
+    """Explains why the robot was still moving; noun: see describe_contact."""
+    if math.isfinite(approach.stop):
         late = f"the stop came late by {approach.late:.2f} s"
     else:
         late = "the robot was not told to stop before the contact"
-    where = "a gap"
-    if approach.sensors is not None:
-        i, j = approach.sensors
-        where = f"the gap between sensors {i} and {j} of the {ring} ring"
-        (view,) = [r for r in approach.rings if r.ring == ring]
-        if math.isnan(view.off_around):
-            where = (
-                f"the space nearer to the link than the sensors of the {ring} "
-                "ring sit"
-            )
-        elif view.off_along > max(view.off_around, 0.0):
-            where = (
-                f"the gap above and below the plane of the {ring} ring, at "
-                f"its sensors {i} and {j}"
-            )
+    where = _describe_gap_place(approach)
     if approach.cause == "gap":
         return f"Why: {late}, because of {where}."
     if approach.cause == "unseen":
@@ -335,7 +329,8 @@ def describe_cause(
     if approach.cause == "late":
         return (
             f"Why: {late}, although the person was inside a beam of the "
-            f"{_call(ring, noun)}: its reading or the filter came too late."
+            f"{_call(approach.ring, noun)}: its reading or the filter came "
+            "too late."
         )
     if approach.cause == "beyond":
         return (
@@ -343,12 +338,37 @@ def describe_cause(
             f"{noun or 'sensor'}'s centre than the distance at which that one "
             f"stops the robot: no {noun or 'stop'} was due."
         )
-    speed = format_number(approach.person_speed, 2, "m/s")
+    return _describe_short_distance(approach)
+
+
+def _describe_gap_place(approach):
+    """Returns which gap between the beams the person was in."""
+    if approach.sensors is None:
+        return "a gap"
+    ring = approach.ring
+    i, j = approach.sensors
+    (view,) = [r for r in approach.rings if r.ring == ring]
+    if math.isnan(view.off_around):
+        return (
+            f"the space nearer to the link than the sensors of the {ring} "
+            "ring sit"
+        )
+    if view.off_along > max(view.off_around, 0.0):
+        return (
+            f"the gap above and below the plane of the {ring} ring, at its "
+            f"sensors {i} and {j}"
+        )
+    return f"the gap between sensors {i} and {j} of the {ring} ring"
+
+
+def _describe_short_distance(approach):
+    """Returns why a person who was seen in time was still touched."""
     text = (
         "Why: the person was seen in time, but the distance that this law "
         "keeps is too short"
     )
     if not math.isnan(approach.person_speed):
+        speed = format_number(approach.person_speed, 2, "m/s")
         text += f" for a person at {speed}"
     if not math.isnan(approach.needed):
         needed = math.ceil(1000 * approach.needed - 1e-6) / 1000
@@ -357,7 +377,7 @@ def describe_cause(
 
 
 def describe_ring(ring: RingApproach, noun: str = "ring") -> str:
-    """Tells how one ring followed the approach; noun: see describe_contact."""
+    """Describes how one ring followed the approach, see describe_contact."""
     name = _call(ring.ring, noun)
     if math.isinf(ring.due):
         text = f"{name}: the person was never within its d_C"
@@ -396,7 +416,7 @@ def _off(angle):
 
 
 def describe_view(view, noun: str = "ring") -> str:
-    """Tells what one ring made of the person; noun: see describe_contact."""
+    """Describes how one ring saw the person; noun: see describe_contact."""
     if math.isnan(view.measured_distance):
         read = "had no scan"
     elif math.isinf(view.measured_distance):
@@ -548,7 +568,7 @@ def make_report(
     """Returns the report as one HTML document.
 
     Args:
-        samples: The run. Of `metadata` it reads what is there of
+        samples: The run. Of `metadata` it reads, where present,
             `scenario_name`, `title`, `scenario` (text), `ssm`, `human`,
             `products`, `seed`, `sensors_per_ring`, `versions`, `command`,
             `plan`, `ring_geometry`, `robot_bodies`, `person_parts`,
@@ -556,8 +576,8 @@ def make_report(
             `self_hit_coverage`.
         summary: What `calc_summary` returned, with whatever else the run's
             `summary.json` holds (`real_time_factor`).
-        recording: Where the replay is, relative to the report; instants are
-            then linked to it. The report needs no other file.
+        recording: Path of the replay relative to the report; instants then
+            link to it. The report needs no other file.
     """
     metadata = samples.metadata
     products = int(metadata.get("products", 10))
@@ -618,50 +638,27 @@ def make_audit_section(samples: Samples) -> dict | None:
 
     Returns:
         `shortfall` rows, `sentences`, `latency` rows and its `total`; None if
-        the run can not be audited.
+        the run cannot be audited.
     """
     audit = calc_audit(samples)
     if audit is None or not len(audit.walking_in.values):
         return None
-    link = figures.name_link
-    worst = audit.walking_in
-    sentences = [
-        f"At worst, at {worst.time:.2f} s ({link(samples, worst.link)}, "
-        f"{_describe_motion(worst.v_r)}), the standard asks "
-        f"for {worst.S_p:.2f} m where the law kept d_C = {worst.d_C:.2f} m: "
-        f"{_describe_gap(worst.worst)}.",
-        f"For {audit.inside:.1f} s the robot was not told to stop though the "
-        "person was truly nearer to a watched link than the standard's "
-        "distance for a person who walks in.",
-        f"The tool reached {audit.tcp_speed:.2f} m/s. From there a UR10 may "
-        f"take {1000 * audit.stop_time:.0f} ms to stop (category 0, worst "
-        f"case), the law reckons with {1000 * audit.T_stop:.0f} ms; the "
-        f"robot's time was the longer one for "
-        f"{100 * audit.slow_share:.0f} % of the run.",
-    ]
-    clear = audit.as_reckoned.clear_share
-    if audit.monitors_person and math.isfinite(clear):
-        sentences.append(
-            f"In {100 * clear:.0f} % of the time that is too short as "
-            "reckoned, the link that decides measured nothing: there the "
-            "speed of the person is assumed."
+    rows = [
+        _make_shortfall_row(
+            f"walking in at {audit.walking_in.v_h:.1f} m/s", audit.walking_in
         )
+    ]
+    if audit.monitors_person:
+        rows += [
+            _make_shortfall_row("as monitored", audit.as_reckoned),
+            _make_shortfall_row(
+                "as measured, links that measure", audit.measuring
+            ),
+        ]
     late = audit.total_latency - audit.T_R
     return {
-        "shortfall": [
-            _make_shortfall_row(f"walking in at {worst.v_h:.1f} m/s", worst),
-            *(
-                [
-                    _make_shortfall_row("as reckoned", audit.as_reckoned),
-                    _make_shortfall_row(
-                        "as measured, links that measure", audit.measuring
-                    ),
-                ]
-                if audit.monitors_person
-                else []
-            ),
-        ],
-        "sentences": sentences,
+        "shortfall": rows,
+        "sentences": _describe_audit(samples, audit),
         "latency": [
             (name, f"{1000 * part:.0f}") for name, part in audit.latency.items()
         ],
@@ -670,6 +667,33 @@ def make_audit_section(samples: Samples) -> dict | None:
         "late": f"{1000 * abs(late):.0f}",
         "is_late": late > 1e-9,
     }
+
+
+def _describe_audit(samples, audit):
+    worst = audit.walking_in
+    link = figures.name_link(samples, worst.link)
+    sentences = [
+        f"At worst, at {worst.time:.2f} s ({link}, "
+        f"{_describe_motion(worst.v_r)}), the standard asks "
+        f"for {worst.S_p:.2f} m where the law kept d_C = {worst.d_C:.2f} m: "
+        f"{_describe_gap(worst.worst)}.",
+        f"For {audit.inside:.1f} s the robot was not told to stop though the "
+        "person was truly nearer to a watched link than the standard's "
+        "distance for a person who walks in.",
+        f"The tool reached {audit.tcp_speed:.2f} m/s. From there a UR10 may "
+        f"take {1000 * audit.stop_time:.0f} ms to stop (category 0, worst "
+        f"case), the law assumes {1000 * audit.T_stop:.0f} ms; the "
+        f"robot's time was the longer one for "
+        f"{100 * audit.slow_share:.0f} % of the run.",
+    ]
+    clear = audit.as_reckoned.clear_share
+    if audit.monitors_person and math.isfinite(clear):
+        sentences.append(
+            f"In {100 * clear:.0f} % of the time that is too short as "
+            "monitored, the link that decides measured nothing: there the "
+            "speed of the person is assumed."
+        )
+    return sentences
 
 
 def _describe_motion(v_r):
@@ -746,7 +770,7 @@ def _describe_dead_sensors(dead_sensors):
 
 
 def _make_fault_rows(samples):
-    """What went wrong with which sensor, as the report shows it."""
+    """Returns what went wrong with which sensor, as the report shows it."""
     return [
         {
             "ring": figures.name_link(samples, row.ring),
@@ -765,7 +789,7 @@ def _percent(flags):
 
 
 def _make_facts(samples, summary):
-    """What was run, as (term, value) pairs."""
+    """Returns what was run, as (term, value) pairs."""
     metadata = samples.metadata
     facts = [("Scenario", metadata.get("scenario_name"))]
     for term, key in (

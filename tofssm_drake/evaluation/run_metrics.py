@@ -1,14 +1,14 @@
 """The paper's metrics of one run, from its samples only.
 
 `calc_run_metrics` returns one flat row of numbers: a campaign has one per
-run, and a recording of real hardware gives the same. Definitions, besides
-those of `tofssm_drake.evaluation.metrics`:
+run, and a recording of real hardware gives the same columns. Definitions, in
+addition to those of `tofssm_drake.evaluation.metrics`:
 
 - *Productivity* is t_NoHRI / t_HRI (paper, Eq. 10a). t_NoHRI is the path time
   of the program at the end of t_HRI, i.e. the integral of the speed fraction:
   what the same motion takes at full speed. t_HRI ends when the last product
-  is placed, or with the record if it is not; then productivity is that of the
-  part that was done, and `finished` is 0.
+  is placed. If it never is, t_HRI ends with the record, productivity is that
+  of the part done, and `finished` is 0.
 - *Safety metric* is ||D_gt||^2 / ||V_tool|| (Eq. 10b): the mean and the
   median over the samples in which the tool moves faster than 0.01 m/s, and
   the ratio of the means of numerator and denominator over all samples.
@@ -18,30 +18,30 @@ those of `tofssm_drake.evaluation.metrics`:
   (0.5 m) and ends when it has been above it for 0.5 s. A *stop* begins with
   a stop event and ends when the robot has not been in state stop for 0.5 s.
   Both belong together if they overlap or are less than 0.5 s apart.
-- The *reaction time* is that from the beginning of an approach to that of
-  the first stop that belongs to it; negative: the stop came before. A stop
+- The *reaction time* is the time from the beginning of an approach to that
+  of the first stop that belongs to it; negative: the stop came first. A stop
   counts once, for the first approach it belongs to. An approach without any
-  stop is *missed*, a stop without any approach is *false*. What began before
-  the end of start-up has no reaction time.
-- The *time to stop* is that from a stop event until the speed fraction is
+  stop is *missed*, a stop without any approach is *false*. An approach that
+  began before the end of start-up has no reaction time.
+- The *time to stop* is the time from a stop event until the speed fraction is
   below 0.01; the *time to reduce* that from a reduce event until it is at
-  most 0.5. It does not exist where the speed fraction was there already, or
-  where the state rises again before; such events do not count in the mean,
-  but they are counted. Who chatters has many of them, and then what counts
-  begins at other speeds than elsewhere. So the means are also given over
-  events that begin alike: stops from the reduced speed fraction (0.5 +- 0.05)
-  and reductions from full speed (at least 0.95).
+  most 0.5. It does not exist where the speed fraction was that low already,
+  or where the state rises again first; such events are counted but do not
+  enter the mean. A configuration that chatters has many of them, and its
+  remaining events begin at other speeds than elsewhere. So the means are also
+  given over events that begin alike: stops from the reduced speed fraction
+  (0.5 +- 0.05) and reductions from full speed (at least 0.95).
 - The *distance error* is that of the nearest distance over the links, as it
   stood at that tick, against ||D_gt||, while ||D_gt|| is within the sensors'
   best range (1.31 m) and any link reports a distance. `centre` takes the
   distance as measured (from the link's centre, or the base's axis),
-  `surface` takes off the radius of what it was measured from. `link` is
-  against another truth: the nearest of the links' own true distances, of which
-  the measured one is the measurement.
-- *Chatter* shows in the changes of state, per minute after start-up and per
-  episode.
+  `surface` subtracts the radius of the body it was measured from. `link`
+  compares with the nearest of the links' own true distances: the quantity
+  that was measured.
+- *Chatter* is the number of changes of state, per minute after start-up and
+  per episode.
 
-Rows are a control tick apart, which is how exactly all these times are known.
+Rows are a control tick apart: all these times have that resolution.
 """
 
 import dataclasses as dc
@@ -67,15 +67,14 @@ from tofssm_drake.evaluation.samples import Samples
 from tofssm_drake.messages import RobotState
 
 NOMINAL_CRITICAL_DISTANCE = 0.5
-"""Where a reaction time is counted from, m (paper: about 0.5 m at a stop)."""
+"""Reaction times count from it, m (paper: about 0.5 m at a stop)."""
 BEST_RANGE = 1.31
 """Distance up to which distance errors are compared, m (paper)."""
 _SETTLE_TIME = 0.5
 _REDUCED = 0.5
-# The speed fraction falls in the tick of the event already.
+# The speed fraction already falls in the tick of the event.
 _ALIKE = 0.05
-# A profile that ends at the reduced speed fraction gets there but for
-# rounding.
+# A profile that ends at the reduced speed fraction gets there up to rounding.
 _ROUNDING = 1e-6
 
 
@@ -152,7 +151,7 @@ def find_reactions(
         ]
         for first, last in approaches
     ]
-    # What is there in the first row began at an unknown time before it.
+    # An approach in the first row began at an unknown time before it.
     began = t[start] if start < len(t) else np.inf
     times, used = [], set()
     counted = missed = 0
@@ -188,14 +187,14 @@ def _find_merged_spans(t, flags):
 
 
 def _find_times_until(t, state, rho, rows, limit):
-    """Returns how long rho takes from each row to the limit; NaN: it does not.
+    """Returns how long rho takes from each row to the limit; NaN: never.
 
     Args:
         t: Times, s, (k,).
         state: `RobotState`, (k,).
         rho: Speed fraction, (k,).
         rows: Rows of the events.
-        limit: rho has to be below it.
+        limit: rho has to fall below it.
 
     Returns:
         Times, s, (n,).
@@ -236,8 +235,8 @@ def calc_run_metrics(samples: Samples) -> dict[str, float]:
 
     Args:
         samples: The run. Of `metadata` it reads `products` (default 10) and
-            `link_offset_m`, by link how far from where a distance is measured
-            the surface is that it stands for (default: 0).
+            `link_offset_m`, by link the distance from the point that is
+            measured from to the surface it stands for (default: 0).
 
     Returns:
         Numbers by name with unit; NaN where one does not exist:
@@ -252,14 +251,14 @@ def calc_run_metrics(samples: Samples) -> dict[str, float]:
           `time_to_reduce_s`: means over the events. Of the latter two also
           `_events`, how many count, `_alike_s` and `_alike_events` over those
           that begin alike, and `stop_there_already_events`,
-          `reduce_there_already_events`, how many were as slow before;
+          `reduce_there_already_events`, how many were as slow already;
         - `approaches`, `reaction_events`, `reaction_time_s` (mean),
           `missed_events`, `false_events`;
         - `distance_rmse_centre_m`, `distance_rmse_surface_m`,
-          `distance_rmse_link_m`; `detection_share`, of the time with ||D_gt||
-          within the best range that in which any link reports a distance;
+          `distance_rmse_link_m`; `detection_share`, share of the time with
+          ||D_gt|| within the best range in which any link reports a distance;
         - `stopped_s`, `reduced_s`, `normal_s`, `stopped_share` of the three
-          together; `stop_due_share`, of the same time that in which a link's
+          together; `stop_due_share`, share of the same time in which a link's
           true distance is at or under its critical distance;
         - `slow_episodes`,
           `state_changes`, `state_changes_per_min`,
@@ -327,74 +326,91 @@ def _calc_safety(samples):
 
 
 def _calc_events(samples):
-    t, state = samples["t"], samples["robot_state"]
-    rho = samples["speed_fraction"]
-    periods = calc_periods(t)
-    start = find_start(state)
     events = find_state_events(samples)
     stops = [e for e in events if e.kind == "stop"]
     reductions = [e for e in events if e.kind == "reduce"]
+    return (
+        _calc_event_times(samples, stops, reductions)
+        | {
+            "stop_events": float(len(stops)),
+            "reduce_events": float(len(reductions)),
+            "velocity_change_at_stop_mps": _mean([e.tcp_speed for e in stops]),
+            "separation_at_stop_m": _calc_separation(stops),
+            "separation_at_reduce_m": _calc_separation(reductions),
+            "d_C_at_stop_m": _calc_threshold(samples, stops, "d_C"),
+            "d_R_at_reduce_m": _calc_threshold(samples, reductions, "d_R"),
+        }
+        | _calc_states(samples, events)
+    )
 
-    def find_rows(chosen):
-        return np.searchsorted(t, [event.time for event in chosen])
 
-    def separation(chosen):
-        distance = [max(event.true_distance, 0.0) for event in chosen]
-        return _mean([d for d in distance if np.isfinite(d)])
+def _find_rows(samples, events):
+    return np.searchsorted(samples["t"], [event.time for event in events])
 
-    def asked(chosen, name):
-        distance = [
-            float(samples[f"{event.ring}_{name}"][row])
-            for event, row in zip(chosen, find_rows(chosen), strict=True)
-            if event.ring
-        ]
-        return _mean([d for d in distance if np.isfinite(d)])
 
-    def duration(value):
-        return float(periods[start:][state[start:] == value].sum())
+def _calc_separation(events):
+    """Returns the mean true distance at events, m."""
+    distance = [max(event.true_distance, 0.0) for event in events]
+    return _mean([d for d in distance if np.isfinite(d)])
 
-    due = find_any_due(samples)
-    stopped = duration(RobotState.STOP)
-    episodes = find_episodes(samples, events)
-    running = float(periods[start:].sum())
-    changes = sum(episode.changes for episode in episodes)
-    at_stop, at_reduce = rho[find_rows(stops)], rho[find_rows(reductions)]
+
+def _calc_threshold(samples, events, name):
+    """Returns the mean d_C or d_R at events, of the links that decide, m."""
+    distance = [
+        float(samples[f"{event.ring}_{name}"][row])
+        for event, row in zip(events, _find_rows(samples, events), strict=True)
+        if event.ring
+    ]
+    return _mean([d for d in distance if np.isfinite(d)])
+
+
+def _calc_event_times(samples, stops, reductions):
+    """Returns how long stops and reductions take."""
+    t, state = samples["t"], samples["robot_state"]
+    rho = samples["speed_fraction"]
+    stop_rows = _find_rows(samples, stops)
+    reduce_rows = _find_rows(samples, reductions)
     slow = _REDUCED + _ROUNDING
-    times = _calc_times(
+    return _calc_times(
         "stop",
-        _find_times_until(t, state, rho, find_rows(stops), STANDING),
-        at_stop,
+        _find_times_until(t, state, rho, stop_rows, STANDING),
+        rho[stop_rows],
         STANDING,
-        np.abs(at_stop - _REDUCED) <= _ALIKE,
+        np.abs(rho[stop_rows] - _REDUCED) <= _ALIKE,
     ) | _calc_times(
         "reduce",
-        _find_times_until(t, state, rho, find_rows(reductions), slow),
-        at_reduce,
+        _find_times_until(t, state, rho, reduce_rows, slow),
+        rho[reduce_rows],
         slow,
-        at_reduce >= 1.0 - _ALIKE,
+        rho[reduce_rows] >= 1.0 - _ALIKE,
     )
-    return times | {
-        "stop_events": float(len(stops)),
-        "reduce_events": float(len(reductions)),
-        "velocity_change_at_stop_mps": _mean([e.tcp_speed for e in stops]),
-        "separation_at_stop_m": separation(stops),
-        "separation_at_reduce_m": separation(reductions),
-        "d_C_at_stop_m": asked(stops, "d_C"),
-        "d_R_at_reduce_m": asked(reductions, "d_R"),
+
+
+def _calc_states(samples, events):
+    """Returns the time in each state and how often it changes."""
+    state = samples["robot_state"]
+    start = find_start(state)
+    periods = calc_periods(samples["t"])[start:]
+    running = float(periods.sum())
+
+    def duration(is_in):
+        return float(periods[is_in[start:]].sum())
+
+    def over_time(value):
+        return value / running if running else np.nan
+
+    stopped = duration(state == RobotState.STOP)
+    episodes = find_episodes(samples, events)
+    changes = sum(episode.changes for episode in episodes)
+    return {
         "stopped_s": stopped,
-        "reduced_s": duration(RobotState.REDUCED),
-        "normal_s": duration(RobotState.NORMAL),
-        "stopped_share": stopped / running if running else np.nan,
-        "stop_due_share": (
-            float(periods[start:][due[start:]].sum()) / running
-            if running
-            else np.nan
-        ),
+        "reduced_s": duration(state == RobotState.REDUCED),
+        "normal_s": duration(state == RobotState.NORMAL),
+        "stopped_share": over_time(stopped),
+        "stop_due_share": over_time(duration(find_any_due(samples))),
         "slow_episodes": float(len(episodes)),
         "state_changes": float(len(events)),
-        "state_changes_per_min": (
-            60.0 * len(events) / running if running else np.nan
-        ),
+        "state_changes_per_min": over_time(60.0 * len(events)),
         "state_changes_per_episode": (
             changes / len(episodes) if episodes else np.nan
         ),
@@ -446,9 +462,8 @@ def calc_nearest_distances(samples: Samples) -> tuple[np.ndarray, np.ndarray]:
         samples: The run; see `calc_run_metrics`.
 
     Returns:
-        (centre, surface): as measured, and with what is between the place
-        that it was measured from and the surface taken off (not below 0).
-        inf: all links are clear, or know nothing.
+        (centre, surface): as measured, and with `link_offset_m` subtracted
+        (not below 0). inf: all links are clear, or know nothing.
     """
     measured = samples.ring("measured_distance")
     measured = np.where(np.isnan(measured), np.inf, measured)

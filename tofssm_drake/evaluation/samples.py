@@ -1,4 +1,4 @@
-"""What a run leaves behind: one table of samples and one of scans.
+"""What a run records: one table of samples and one of scans.
 
 `samples.parquet` has one row per control tick, `scans.parquet` one per ring
 scan. All metrics and figures are computed from these two files, so that a
@@ -32,7 +32,7 @@ from tofssm_drake.messages import RINGS
 _KEY = b"tofssm"
 
 PARTS = ".*.part"
-"""Names of files while they are written; what a kill may leave behind."""
+"""Names of files while they are written; a kill may leave them."""
 
 RING_COLUMNS = (
     "state",
@@ -77,7 +77,7 @@ _INTEGERS = {
 
 @dc.dataclass(kw_only=True)
 class Samples:
-    """A run's recorded columns with what is needed to read them.
+    """A run's recorded columns with the metadata to read them.
 
     Attributes:
         column: Arrays of equal length by name, one element per tick.
@@ -159,8 +159,7 @@ def narrow_type(kind: str, values: np.ndarray) -> np.ndarray:
 def write_atomically(path: Path, write) -> None:
     """Calls `write(temporary)` and then moves the file to `path`.
 
-    Whoever reads `path` sees the old file, the new file or none, never half
-    of one.
+    A reader of `path` sees the old file, the new file or none, never a part.
 
     Raises:
         UserError: if the folder cannot be written.

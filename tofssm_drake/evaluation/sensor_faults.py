@@ -10,7 +10,7 @@ from tofssm_drake.messages import FAULT_NAMES, SensorFault
 
 @dc.dataclass(frozen=True, kw_only=True)
 class FaultedSensor:
-    """What one sensor of a ring had of one cause."""
+    """Faults of one sensor with one cause."""
 
     ring: str
     sensor: int
@@ -19,9 +19,9 @@ class FaultedSensor:
     scans: int
     """In how many scans."""
     longest: float
-    """The longest time from the first to the last of them in a row, s."""
+    """Longest time from first to last of consecutive ones, s."""
     first: float
-    """When it was first told, s."""
+    """When it was first reported, s."""
 
 
 def find_faulted_sensors(samples: Samples) -> list[FaultedSensor]:

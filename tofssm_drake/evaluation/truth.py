@@ -1,4 +1,4 @@
-"""Layout of the ground truth's vector, shared by who writes and reads it."""
+"""Layout of the ground truth's vector, shared by its writer and readers."""
 
 
 class TruthLayout:

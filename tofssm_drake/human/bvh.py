@@ -54,22 +54,22 @@ PLACEMENTS = ("in_place", "own_path", "figure_eight")
 
 @dc.dataclass(kw_only=True)
 class BvhRecording:
-    """A person who moves as one did in a recording."""
+    """A person who moves as in a recording."""
 
     # The BVH file.
     filename: str = ""
 
     # Unit of length in the file: "m", "ft", "inch", "cm", "mm", "cgspeed"
     # (inch / 0.45, as in the usual conversions of the CMU database), a number
-    # of metres per unit, or "auto": whichever makes an adult.
+    # of metres per unit, or "auto": the one that makes an adult.
     units: str = "auto"
 
     # The file's vertical axis: "y", "z", "x", one of these with a minus, or
     # "auto": from feet to head.
     up: str = "auto"
 
-    # "in_place": without the way covered; "own_path": along the recorded
-    # way; "figure_eight": the recorded stride, carried along the figure.
+    # "in_place": on the spot; "own_path": along the recorded path;
+    # "figure_eight": the recorded stride, carried along the figure.
     placement: str = "figure_eight"
 
     # Where the person starts (in_place: stays), [x, y] in world, m, for
@@ -81,7 +81,7 @@ class BvhRecording:
     heading_deg: float = -90.0
 
     # For in_place and own_path: True goes back to the start in a smooth
-    # transition and begins anew; False holds the last posture.
+    # transition and begins again; False holds the last posture.
     loop: bool = False
 
     # The part of the recording to use, s; end_time null: up to its end.
@@ -173,7 +173,7 @@ def _calc_lengths(landmarks):
 
 
 def _restore_lengths(landmarks, lengths):
-    """Gives blended postures the bones' lengths again, pelvis outwards."""
+    """Restores the bones' lengths in blended postures, pelvis outwards."""
     result = landmarks.copy()
     for child, parent in PARENTS.items():
         i, j = LANDMARK_INDEX[child], LANDMARK_INDEX[parent]
@@ -195,7 +195,7 @@ def _close_loop(landmarks, dt, stature):
     """Appends a way back from the last posture to the first.
 
     Place, heading and posture leave and arrive with the recording's own
-    velocities; slow enough for a walk.
+    velocities, no faster than a walk.
     """
     if len(landmarks) < 2:
         return landmarks
@@ -209,8 +209,8 @@ def _close_loop(landmarks, dt, stature):
     k = np.arange(1, rows)
 
     def blend(values, first, second):
-        # Either end runs out with its own velocity, as a person would who
-        # stops; in between one fades into the other.
+        # Either end runs out with its own velocity, as a person stops; in
+        # between, one fades into the other.
         shape = (-1, *[1] * np.ndim(first))
         stop = _STOPPING_TIME / dt
         after = stop * (1.0 - np.exp(-k / stop)).reshape(shape)
@@ -228,6 +228,20 @@ def _close_loop(landmarks, dt, stature):
     sunk = np.maximum(FOOT_RADIUS * stature - calc_lowest(back), 0.0)
     back[:, :, 2] += sunk[:, None]
     return np.concatenate([landmarks, back])
+
+
+@dc.dataclass(frozen=True, eq=False, kw_only=True)
+class _Travel:
+    """How the person of a recording moves over the floor, row by row."""
+
+    pelvis: np.ndarray
+    """Position on the floor, m, shape (T, 2)."""
+    speed: np.ndarray
+    """Smoothed, m/s, shape (T,)."""
+    direction: np.ndarray
+    """Unit vectors, shape (T, 2)."""
+    walking: np.ndarray
+    """Whether the person walks, shape (T,)."""
 
 
 def find_gait(performance: Performance, dt: float) -> Gait | None:
@@ -248,76 +262,97 @@ def find_gait(performance: Performance, dt: float) -> Gait | None:
     if len(landmarks) < 3:
         return None
     pelvis = landmarks[:, 0, :2]
-    window = round(0.4 / dt)
-    travelled = float(_norm(pelvis - pelvis[0]).max())
-    if travelled < 0.5 * stature:
-        # On the spot, as on a treadmill: let the feet tell the way.
+    if _norm(pelvis - pelvis[0]).max() < 0.5 * stature:
+        # On the spot, as on a treadmill: the feet show the way covered.
         landmarks = landmarks.copy()
         plant_feet(landmarks, dt)
-        pelvis = landmarks[:, 0, :2]
-    velocity = smooth(np.gradient(pelvis, dt, axis=0), window)
+    travel = _calc_travel(landmarks, dt)
+    strides = _list_strides(landmarks, travel, stature, dt)
+    if not strides:
+        return None
+    i, j = min(strides, key=lambda ij: _calc_mismatch(landmarks, travel, *ij))
+    way = travel.pelvis[j] - travel.pelvis[i]
+    length = float(_norm(way))
+    cycle = _cut_cycle(landmarks, i, j, way)
+    for side in ("left", "right"):
+        slip = _norm(calc_slip(landmarks, side, dt)[i:j])
+        # Feet that skate still move more slowly the longer they are down.
+        pace = length / ((j - i) * dt)
+        down = slip < max(DOWN * pace, np.quantile(slip, 0.45))
+        _settle_foot(cycle, side, down, length, FOOT_RADIUS * stature, dt)
+    return Gait(
+        landmarks=cycle,
+        stride=length,
+        period=(j - i) * dt,
+        stature=stature,
+    )
+
+
+def _calc_travel(landmarks, dt):
+    pelvis = landmarks[:, 0, :2]
+    velocity = smooth(np.gradient(pelvis, dt, axis=0), round(0.4 / dt))
     speed = _norm(velocity)
-    walking = speed > max(0.3, 0.6 * np.quantile(speed, 0.9))
-    direction = normalize(velocity)
+    return _Travel(
+        pelvis=pelvis,
+        speed=speed,
+        direction=normalize(velocity),
+        walking=speed > max(0.3, 0.6 * np.quantile(speed, 0.9)),
+    )
+
+
+def _list_strides(landmarks, travel, stature, dt):
+    """Returns first and last row of every complete stride of walking."""
     span = (
         landmarks[:, LANDMARK_INDEX["left_ankle"], :2]
         - landmarks[:, LANDMARK_INDEX["right_ankle"], :2]
     )
-    lead = np.sum(span * direction, axis=-1)
+    lead = np.sum(span * travel.direction, axis=-1)
+    walking = travel.walking
     passing = [
         k
         for k in range(1, len(lead))
         if lead[k - 1] < 0.0 <= lead[k] and walking[k]
     ]
-    best, best_cost = None, math.inf
-    for i, j in itertools.pairwise(passing):
-        if not (0.5 <= (j - i) * dt <= 2.5 and walking[i:j].all()):
-            continue
-        steps = lead[i:j]
-        if min(steps.max(), -steps.min()) < 0.06 * stature:
-            continue
-        way = pelvis[j] - pelvis[i]
-        angle = math.atan2(way[1], way[0])
-        ends = landmarks[[i, j]].copy()
-        ends[:, :, :2] -= pelvis[[i, j]][:, None]
-        ends = _turn(ends, -angle)
-        mismatch = float(_norm(ends[1] - ends[0]).max())
-        bend = _wrap(
-            math.atan2(*direction[j][::-1]) - math.atan2(*direction[i][::-1])
-        )
-        hurry = abs(math.log(speed[j] / speed[i]))
-        cost = mismatch + 0.3 * abs(bend) + 0.3 * hurry
-        if cost < best_cost:
-            best, best_cost = (i, j, angle), cost
-    if best is None:
-        return None
-    i, j, angle = best
-    stride = float(_norm(pelvis[j] - pelvis[i]))
-    # Fade from what follows the stride to the stride itself, so that its end
-    # runs into its beginning.
+    return [
+        (i, j)
+        for i, j in itertools.pairwise(passing)
+        if 0.5 <= (j - i) * dt <= 2.5
+        and walking[i:j].all()
+        and min(lead[i:j].max(), -lead[i:j].min()) >= 0.06 * stature
+    ]
+
+
+def _calc_mismatch(landmarks, travel, i, j):
+    """Returns how badly a stride from row i to row j repeats itself."""
+    way = travel.pelvis[j] - travel.pelvis[i]
+    ends = landmarks[[i, j]].copy()
+    ends[:, :, :2] -= travel.pelvis[[i, j]][:, None]
+    ends = _turn(ends, -math.atan2(way[1], way[0]))
+    gap = float(_norm(ends[1] - ends[0]).max())
+    bend = _wrap(
+        math.atan2(*travel.direction[j][::-1])
+        - math.atan2(*travel.direction[i][::-1])
+    )
+    hurry = abs(math.log(travel.speed[j] / travel.speed[i]))
+    return gap + 0.3 * abs(bend) + 0.3 * hurry
+
+
+def _cut_cycle(landmarks, i, j, way):
+    """Returns rows i to j in G so that the end runs into the beginning.
+
+    What follows the stride fades into its beginning.
+    """
     fade = min((j - i) // 3, len(landmarks) - j)
     rows = landmarks[i : j + fade].copy()
-    rows[:, :, :2] -= pelvis[i]
-    rows = _turn(rows, -angle)
+    rows[:, :, :2] -= landmarks[i, 0, :2]
+    rows = _turn(rows, -math.atan2(way[1], way[0]))
     phase = np.arange(len(rows)) / (j - i)
-    rows[:, :, 0] -= stride * phase[:, None]
+    rows[:, :, 0] -= float(_norm(way)) * phase[:, None]
     cycle = rows[: j - i]
     weight = ease(1.0 - np.arange(fade) / fade)[:, None, None]
     cycle[:fade] += weight * (rows[j - i :] - cycle[:fade])
     cycle[:, :, :2] -= cycle[:, :1, :2].mean(axis=0)
-    cycle = _restore_lengths(cycle, _calc_lengths(landmarks))
-    for side in ("left", "right"):
-        slip = _norm(calc_slip(landmarks, side, dt)[i:j])
-        # Feet that skate are still the slower the more they are down.
-        pace = stride / ((j - i) * dt)
-        down = slip < max(DOWN * pace, np.quantile(slip, 0.45))
-        _settle_foot(cycle, side, down, stride, FOOT_RADIUS * stature, dt)
-    return Gait(
-        landmarks=cycle,
-        stride=stride,
-        period=(j - i) * dt,
-        stature=stature,
-    )
+    return _restore_lengths(cycle, _calc_lengths(landmarks))
 
 
 def _smooth_periodic(values, width):
@@ -331,8 +366,8 @@ def _settle_foot(cycle, side, down, stride, sole, dt):
     """Makes a foot of a stride stand on the floor, and stand still.
 
     While it is down, the point that touches the floor (heel, toe or both) is
-    kept where it is; in the air the foot goes over to the next such place.
-    The knee is left to be solved.
+    kept where it is; in the air the foot moves on to the next such place. The
+    knee is solved later.
 
     Args:
         cycle: Landmarks of a stride in G, changed in place, (N, l, 3).
@@ -374,10 +409,10 @@ def make_bvh_motion(config: BvhRecording, dt: float) -> HumanMotion:
         dt: Time from row to row, s.
 
     Returns:
-        The motion. It loops on the figure of eight and where asked to.
+        The motion. It loops on the figure of eight and with `loop`.
 
     Raises:
-        UserError: A setting is out of range, or the file is of no use; the
+        UserError: A setting is out of range, or the file cannot be used; the
             message names the setting, or the file and its line.
     """
     config.check("bvh_recording")
@@ -390,7 +425,6 @@ def make_bvh_motion(config: BvhRecording, dt: float) -> HumanMotion:
         start_time=config.start_time,
         end_time=config.end_time,
     )
-    stature = performance.stature
     if config.placement == "figure_eight":
         gait = find_gait(performance, dt)
         if gait is None:
@@ -406,7 +440,19 @@ def make_bvh_motion(config: BvhRecording, dt: float) -> HumanMotion:
             dt=dt,
             any_stride=False,
         )
-    landmarks = performance.landmarks
+    landmarks = _place(performance.landmarks, config, dt)
+    if config.loop:
+        landmarks = _close_loop(landmarks, dt, performance.stature)
+    return make_motion(
+        landmarks=landmarks,
+        dt=dt,
+        loops=config.loop,
+        stature=performance.stature,
+    )
+
+
+def _place(landmarks, config, dt):
+    """Moves a recording to its position and heading in the cell."""
     beginning = landmarks[: max(1, round(0.25 / dt))]
     facing = calc_facing(beginning).mean(axis=0)
     turn = math.radians(config.heading_deg) - math.atan2(facing[1], facing[0])
@@ -415,8 +461,4 @@ def make_bvh_motion(config: BvhRecording, dt: float) -> HumanMotion:
         origin = landmarks[:, :1] * [1.0, 1.0, 0.0]
     landmarks = _turn(landmarks - origin, turn)
     landmarks[:, :, :2] += config.position
-    if config.loop:
-        landmarks = _close_loop(landmarks, dt, stature)
-    return make_motion(
-        landmarks=landmarks, dt=dt, loops=config.loop, stature=stature
-    )
+    return landmarks

@@ -1,8 +1,8 @@
 """Biovision hierarchy (BVH) files: text in, checked numbers out.
 
 The format has a hierarchy of joints with offsets and channels, then one line
-of channel values per frame. Units, axes and joint names are not part of it;
-`tofssm_drake.human.bvh` finds those out.
+of channel values per frame. It does not fix units, axes or joint names;
+`tofssm_drake.human.bvh` works those out.
 """
 
 import dataclasses as dc
@@ -19,11 +19,11 @@ _CHANNELS = {
     for index, axis in enumerate("xyz")
 }
 _LONGEST_FRAME_TIME = 1.0
-"""s; longer ones are a mistake of units."""
+"""s; a longer one is in the wrong unit."""
 
 
 _LARGEST_NUMBER = 1e9
-"""No recording in any unit has larger ones; nan and inf are none."""
+"""No recording in any unit has a larger one, nor nan or inf."""
 
 
 @dc.dataclass(frozen=True, eq=False, kw_only=True)
@@ -99,59 +99,73 @@ class _Reader:
         return [float(word) for word in words]
 
 
+def _read_offset(reader):
+    words = reader.next("OFFSET").split()
+    if words[0].upper() != "OFFSET" or len(words) != 4:
+        reader.fail(
+            f"'{' '.join(words)[:60]}' should be OFFSET and three numbers"
+        )
+    offset = np.array(reader.numbers(words[1:], "three numbers"))
+    offset.flags.writeable = False
+    return offset
+
+
+def _read_channels(reader, name):
+    words = reader.next("CHANNELS").split()
+    count = words[1] if len(words) > 1 else ""
+    if words[0].upper() != "CHANNELS" or not count.isdecimal():
+        reader.fail(
+            f"'{' '.join(words)[:60]}' should be CHANNELS, their number and "
+            "names"
+        )
+    if int(count) != len(words) - 2:
+        reader.fail(f"CHANNELS {count} is followed by {len(words) - 2} names")
+    for word in words[2:]:
+        if word.lower() not in _CHANNELS:
+            reader.fail(
+                f"channel '{word[:60]}' should be Xposition, Yposition, "
+                "Zposition, Xrotation, Yrotation or Zrotation"
+            )
+    channels = tuple(_CHANNELS[word.lower()] for word in words[2:])
+    if len(set(channels)) != len(channels):
+        reader.fail(f"a channel of {name} is named twice")
+    return channels
+
+
+def _open_joint(reader, name, *, parent, first_channel, is_end):
+    """Reads a joint from its opening brace to its channels."""
+    line = reader.line
+    if reader.next("'{'") != "{":
+        reader.fail(f"'{{' should follow {name or 'the joint'}")
+    return BvhJoint(
+        name=name,
+        parent=parent,
+        offset=_read_offset(reader),
+        channels=() if is_end else _read_channels(reader, name),
+        first_channel=first_channel,
+        is_end=is_end,
+        line=line,
+    )
+
+
 def _read_hierarchy(reader):
+    """Returns the joints and the number of their channels."""
     joints = []
     stack = []
     columns = 0
 
     def open_joint(name, is_end):
         nonlocal columns
-        line = reader.line
-        if reader.next("'{'") != "{":
-            reader.fail(f"'{{' should follow {name or 'the joint'}")
-        words = reader.next("OFFSET").split()
-        if words[0].upper() != "OFFSET" or len(words) != 4:
-            reader.fail(
-                f"'{' '.join(words)[:60]}' should be OFFSET and three numbers"
-            )
-        offset = np.array(reader.numbers(words[1:], "three numbers"))
-        offset.flags.writeable = False
-        channels = ()
-        if not is_end:
-            words = reader.next("CHANNELS").split()
-            count = words[1] if len(words) > 1 else ""
-            if words[0].upper() != "CHANNELS" or not count.isdecimal():
-                reader.fail(
-                    f"'{' '.join(words)[:60]}' should be CHANNELS, their "
-                    "number and names"
-                )
-            if int(count) != len(words) - 2:
-                reader.fail(
-                    f"CHANNELS {count} is followed by {len(words) - 2} names"
-                )
-            for word in words[2:]:
-                if word.lower() not in _CHANNELS:
-                    reader.fail(
-                        f"channel '{word[:60]}' should be Xposition, "
-                        "Yposition, Zposition, Xrotation, Yrotation or "
-                        "Zrotation"
-                    )
-            channels = tuple(_CHANNELS[word.lower()] for word in words[2:])
-            if len(set(channels)) != len(channels):
-                reader.fail(f"a channel of {name} is named twice")
-        joints.append(
-            BvhJoint(
-                name=name,
-                parent=stack[-1] if stack else -1,
-                offset=offset,
-                channels=channels,
-                first_channel=columns,
-                is_end=is_end,
-                line=line,
-            )
+        joint = _open_joint(
+            reader,
+            name,
+            parent=stack[-1] if stack else -1,
+            first_channel=columns,
+            is_end=is_end,
         )
-        columns += len(channels)
-        stack.append(len(joints) - 1)
+        columns += len(joint.channels)
+        stack.append(len(joints))
+        joints.append(joint)
 
     if reader.next("HIERARCHY").upper() != "HIERARCHY":
         reader.fail("a BVH file should begin with HIERARCHY")
@@ -205,6 +219,11 @@ def _read_motion(reader, columns):
             f"'Frame Time: {text[:60]}' should be seconds, above 0 and up to "
             f"{_LONGEST_FRAME_TIME:g}"
         )
+    return _read_frames(reader, count, columns), frame_time
+
+
+def _read_frames(reader, count, columns):
+    """Returns the channel values, (count, columns)."""
     rows = []
     for index in range(reader.line, len(reader.lines)):
         words = reader.lines[index].split()
@@ -229,10 +248,8 @@ def _read_motion(reader, columns):
             )
         rows.append(row)
     if len(rows) != count:
-        reader.fail(
-            f"the file ends after {len(rows)} of {count} frames",
-        )
-    return np.array(rows).reshape(count, columns), frame_time
+        reader.fail(f"the file ends after {len(rows)} of {count} frames")
+    return np.array(rows).reshape(count, columns)
 
 
 def read_bvh(path: str | Path) -> BvhFile:
@@ -255,12 +272,12 @@ def read_bvh(path: str | Path) -> BvhFile:
     except IsADirectoryError:
         raise UserError(f"{path}: is a folder, should be a file") from None
     except OSError as e:
-        raise UserError(f"{path}: can not be read ({e.strerror})") from None
+        raise UserError(f"{path}: cannot be read ({e.strerror})") from None
     if not data.strip():
         raise UserError(f"{path}:1: the file is empty")
     if b"\0" in data:
         raise UserError(f"{path}:1: not a BVH file: it is not text")
-    # Names may be in any old encoding; all that matters is ASCII.
+    # Names may be in any encoding; what matters is ASCII.
     reader = _Reader(path, data.decode("utf-8-sig", errors="replace"))
     joints, columns = _read_hierarchy(reader)
     frames, frame_time = _read_motion(reader, columns)

@@ -9,7 +9,7 @@ from tofssm_drake.errors import require
 
 _SAMPLES = 4096
 _SMALLEST_RADIUS = 0.25
-"""m; a person can not follow a tighter curve at a walk."""
+"""m; a person cannot follow a tighter curve at a walk."""
 
 FARTHEST = 100.0
 """m from world's origin along x and y; no cell is larger."""

@@ -5,6 +5,7 @@ floor by where feet come to rest.
 """
 
 import dataclasses as dc
+import itertools
 import math
 import re
 
@@ -83,9 +84,8 @@ _LIMB_ROLES = {
     ),
     "wrist": ("wrist", "hand"),
 }
-"""What the joint at the near end of each bone is called; the first that the
-file has is taken, so that LeftShoulder is the collar where there is a
-LeftArm."""
+"""Names of the joint at the near end of each bone. The first one that the
+file has counts, so that LeftShoulder is the collar where there is a LeftArm."""
 
 _REQUIRED = ("hip", "knee", "ankle", "shoulder", "elbow", "wrist")
 
@@ -103,7 +103,7 @@ _SAID_AS = {
 class Performance:
     """A recording as a person: metres, z up, soles on the floor z = 0.
 
-    Where on the floor, and facing where, is still the recording's own.
+    Place on the floor and heading are still the recording's own.
     """
 
     landmarks: np.ndarray
@@ -128,7 +128,7 @@ def read_units(units: str) -> float | None:
 
 
 def _split_words(name):
-    """LeftUpLeg, mixamorig:LeftUpLeg, l_upleg, Bip01 L UpLeg: into words."""
+    """Splits e.g. mixamorig:LeftUpLeg, l_upleg, Bip01 L UpLeg into words."""
     name = name.rsplit(":", 1)[-1].rsplit("|", 1)[-1]
     words = re.findall(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|\d+", name)
     return [word.lower() for word in words]
@@ -138,7 +138,7 @@ _NOISE = ("joint", "jnt", "jt", "bone", "bend")
 
 
 def _trim(words):
-    """Without numbers and the like at the end."""
+    """Drops numbers and the like at the end."""
     words = list(words)
     while len(words) > 1 and (words[-1].isdecimal() or words[-1] in _NOISE):
         words.pop()
@@ -146,7 +146,7 @@ def _trim(words):
 
 
 def _list_readings(words):
-    """Joins the words to (side, rest) in every way that may be meant."""
+    """Yields every possible reading of the words as (side, rest)."""
     for start in range(len(words)):
         text = "".join(words[start:])
         for side, marks in (("left", ("left", "l")), ("right", ("right", "r"))):
@@ -158,17 +158,17 @@ def _list_readings(words):
 
 
 def find_roles(names: list[str]) -> dict[str, int]:
-    """Finds which joint is which limb's, by the usual names.
+    """Finds which joint belongs to which limb, by the usual names.
 
     Args:
-        names: Of the joints, parents first.
+        names: Names of the joints, parents first.
 
     Returns:
         Joint index by role, e.g. left_knee; only those found.
     """
     words = [_split_words(name) for name in names]
     found = {}
-    # Plain names first: LHipJoint is no LeftHip where there is one.
+    # Plain names first: LHipJoint is not the hip where there is a LeftHip.
     for some_words in (words, [_trim(w) for w in words]):
         for index, reading in enumerate(some_words):
             for side_and_rest in _list_readings(reading):
@@ -180,7 +180,7 @@ def find_roles(names: list[str]) -> dict[str, int]:
                 if (side, alias) in found:
                     roles[f"{side}_{role}"] = found[side, alias]
                     break
-        # Some skeletons have ankle and foot: that foot is at the toes.
+        # In skeletons with both ankle and foot, the foot is at the toes.
         if (
             f"{side}_toe" not in roles
             and (side, "ankle") in found
@@ -194,7 +194,7 @@ def find_roles(names: list[str]) -> dict[str, int]:
 
 
 def _list_ancestors(file, index):
-    """Indices from the joint itself up to the root."""
+    """Returns indices from the joint itself up to the root."""
     chain = []
     while index >= 0:
         chain.append(index)
@@ -203,7 +203,7 @@ def _list_ancestors(file, index):
 
 
 def _get_up_matrix(up):
-    """Rotates the file's axes so that `up` becomes z."""
+    """Returns the rotation of the file's axes that makes `up` z."""
     cyclic = {"z": (0, 1, 2), "x": (1, 2, 0), "y": (2, 0, 1)}[up[-1]]
     R = np.eye(3)[list(cyclic)]
     if up.startswith("-"):
@@ -212,7 +212,7 @@ def _get_up_matrix(up):
 
 
 def _find_up(span, fail):
-    """The axis that points from the feet to the head."""
+    """Returns the axis that points from the feet to the head."""
     typical = np.median(span, axis=0)
     axis = int(np.argmax(np.abs(typical)))
     if abs(typical[axis]) < 0.8 * np.linalg.norm(typical):
@@ -224,7 +224,7 @@ def _find_up(span, fail):
 
 
 def _find_units(stature, fail):
-    """The unit that makes an adult of the stature in file units."""
+    """Returns the unit in which the stature is that of an adult."""
     name = min(
         UNITS,
         key=lambda n: abs(math.log(stature * UNITS[n] / _TYPICAL_STATURE)),
@@ -246,7 +246,7 @@ def _norm(vector):
 
 
 def _find_hand(file, positions, wrist, smallest):
-    """A joint beyond the wrist, by which the hand's direction is known."""
+    """Returns a joint beyond the wrist, which gives the hand's direction."""
     beyond = [wrist]
     best = None
     for j in range(wrist + 1, len(file.joints)):
@@ -262,40 +262,11 @@ def _find_hand(file, positions, wrist, smallest):
     return best
 
 
-def _place_feet(p, p_ankle, R_foot, p_toe, facing, stature):
-    """Fits sole, heel and toe to one foot; all rigid with it.
-
-    The sole is what is level when ankle and toe are lowest.
-    """
-    low = p_ankle[:, 2]
-    flat = np.flatnonzero(low <= np.quantile(low, 0.25))
-    if p_toe is not None:
-        toe_low = p_toe[flat, 2]
-        flat = flat[toe_low <= np.quantile(toe_low, 0.5)]
-    R_flat = R_foot[flat]
-    up = normalize(R_flat[:, 2, :].mean(axis=0))
-    if p_toe is not None:
-        span = p_toe[flat] - p_ankle[flat]
-    else:
-        span = 0.09 * stature * facing[flat]
-    ahead = np.einsum("tji,tj->ti", R_flat, span).mean(axis=0)
-    height = max(
-        ANKLE_HEIGHT * stature,
-        -float(up @ ahead) + 0.6 * FOOT_RADIUS * stature,
-    )
-    ahead = ahead - (up @ ahead) * up
-    length = float(np.clip(_norm(ahead), 0.072 * stature, 0.12 * stature))
-    ahead = normalize(ahead)
-    down = (FOOT_RADIUS * stature - height) * up
-    p["heel"] = p_ankle + R_foot @ (down - HEEL_LENGTH * stature * ahead)
-    p["toe"] = p_ankle + R_foot @ (down + length * ahead)
-
-
 def _drop_calibration(file):
-    """Leaves out a first frame that is a posture of calibration.
+    """Leaves out a first frame that is a calibration posture.
 
-    Many conversions put a T-pose before the recording: a jump from the first
-    frame to the second that is nowhere near what follows.
+    Many conversions put a T-pose before the recording. It shows as a jump from
+    the first frame to the second, far larger than any that follows.
     """
     count = min(len(file.frames), 12)
     if count < 4:
@@ -307,6 +278,40 @@ def _drop_calibration(file):
     if step[0] < 0.1 * size or step[0] < 5.0 * step[1:].max():
         return file
     return dc.replace(file, frames=file.frames[1:])
+
+
+@dc.dataclass(frozen=True, eq=False, kw_only=True)
+class _Recording:
+    """Joints of a person in metres, z up, with their roles."""
+
+    file: BvhFile
+    roles: dict[str, int]
+    """Joint index by role."""
+    positions: np.ndarray
+    """Of all joints, shape (T, J, 3)."""
+    rotations: dict[int, np.ndarray]
+    """Of the ankles, shape (T, 3, 3) each, by joint index."""
+    stature: float
+    """Standing height, m."""
+    units: float
+    """Metres per unit of the file."""
+    up: str
+    """The file's vertical axis."""
+
+    def get(self, role):
+        """Returns where the joint of a role is, (T, 3)."""
+        return self.positions[:, self.roles[role]]
+
+    def middle(self, role):
+        """Returns the middle between left and right, (T, 3)."""
+        return 0.5 * (self.get(f"left_{role}") + self.get(f"right_{role}"))
+
+
+def _make_fail(file):
+    def fail(message):
+        raise UserError(f"{file.path}:{file.joints[0].line}: {message}")
+
+    return fail
 
 
 def make_performance(
@@ -332,44 +337,74 @@ def make_performance(
         The person at every dt.
 
     Raises:
-        UserError: Joints are missing, or the vertical or the unit can not be
-            told; the message names the file and the line of its root.
+        UserError: Joints are missing, or the vertical or the unit cannot be
+            determined; the message names the file and the line of its root.
     """
-
-    def fail(message):
-        raise UserError(f"{file.path}:{file.joints[0].line}: {message}")
-
     file = _drop_calibration(file)
+    times = _list_times(file, dt, start_time, end_time)
+    recording = _normalize_recording(
+        _pose_recording(file, times), units=units, up=up
+    )
+    point = _place_trunk(recording)
+    for side in ("left", "right"):
+        point |= _place_limbs(recording, side)
+    facing = normalize(
+        np.cross(point["left_hip"] - point["right_hip"], [0.0, 0.0, 1.0])
+    )
+    for side in ("left", "right"):
+        point |= _place_foot(recording, side, facing)
+    landmarks = np.stack([point[name] for name in LANDMARKS], axis=1)
+    _stand_on_floor(landmarks, recording, dt)
+    return Performance(
+        landmarks=landmarks,
+        stature=float(recording.stature),
+        units=recording.units,
+        up=recording.up,
+    )
+
+
+def _list_times(file, dt, start_time, end_time):
+    """Returns the times of the rows, s, (T,)."""
     last = file.duration if end_time is None else end_time
     if start_time > file.duration or last > file.duration + 1e-3:
-        fail(
+        _make_fail(file)(
             f"the recording lasts {file.duration:.3f} s; start_time and "
             "end_time should lie within"
         )
+    # Frame times are rounded in the file.
+    rows = math.floor((last - start_time) / dt + 1e-3) + 1
+    return start_time + dt * np.arange(rows)
+
+
+def _pose_recording(file, times):
+    """Returns the recording in the file's own unit and axes.
+
+    `stature` is estimated, in that unit, from parts that keep their lengths
+    in any posture.
+    """
+    fail = _make_fail(file)
     roles = find_roles(
         ["" if joint.is_end else joint.name for joint in file.joints]
     )
-    for side in ("left", "right"):
-        for role in _REQUIRED:
-            if f"{side}_{role}" not in roles:
-                fail(
-                    f"no {side} {role} among the joints; one should be named "
-                    f"like {_SAID_AS[role]} with {side.capitalize()} or "
-                    f"{side[0].upper()}"
-                )
-    # Frame times are rounded in the file.
-    rows = math.floor((last - start_time) / dt + 1e-3) + 1
-    times = start_time + dt * np.arange(rows)
+    for side, role in itertools.product(("left", "right"), _REQUIRED):
+        if f"{side}_{role}" not in roles:
+            fail(
+                f"no {side} {role} among the joints; one should be named "
+                f"like {_SAID_AS[role]} with {side.capitalize()} or "
+                f"{side[0].upper()}"
+            )
     ankles = tuple(roles[f"{side}_ankle"] for side in ("left", "right"))
     positions, rotations = calc_positions(file, times, ankles)
-
-    def get(role):
-        return positions[:, roles[role]]
-
-    def middle(role):
-        return 0.5 * (get(f"left_{role}") + get(f"right_{role}"))
-
-    # Stature, from parts that keep their lengths in any posture.
+    recording = _Recording(
+        file=file,
+        roles=roles,
+        positions=positions,
+        rotations=rotations,
+        stature=math.nan,
+        units=1.0,
+        up="z",
+    )
+    get, middle = recording.get, recording.middle
     legs = [
         np.median(_norm(get(f"{s}_{a}") - get(f"{s}_{b}")))
         for s in ("left", "right")
@@ -379,6 +414,13 @@ def make_performance(
         fail("a thigh or shank has no length")
     trunk = np.quantile(_norm(middle("shoulder") - middle("hip")), 0.9)
     stature = (0.5 * sum(legs) + trunk) / (SHOULDER_HEIGHT - ANKLE_HEIGHT)
+    return dc.replace(recording, stature=stature)
+
+
+def _normalize_recording(recording, *, units, up):
+    """Returns the recording in metres with z up."""
+    fail = _make_fail(recording.file)
+    stature = recording.stature
     if units == "auto":
         scale = _find_units(stature, fail)
     else:
@@ -388,111 +430,173 @@ def make_performance(
                 f"units {units} make a person of {stature * scale:.3g} m; "
                 "units: auto would be right"
             )
-    stature *= scale
     if up == "auto":
-        up = _find_up(middle("shoulder") - middle("ankle"), fail)
+        span = recording.middle("shoulder") - recording.middle("ankle")
+        up = _find_up(span, fail)
     R_up = _get_up_matrix(up)
-    positions = scale * positions @ R_up.T
-    rotations = {j: R_up @ R for j, R in rotations.items()}
+    return dc.replace(
+        recording,
+        positions=scale * recording.positions @ R_up.T,
+        rotations={j: R_up @ R for j, R in recording.rotations.items()},
+        stature=stature * scale,
+        units=scale,
+        up=up,
+    )
 
-    # Trunk: whichever joints of the chain lie where neck and waist are.
-    p = {"pelvis": middle("hip")}
-    shoulders = middle("shoulder")
-    if np.median(_norm(get("left_hip") - get("right_hip"))) < 0.02 * stature:
-        fail("left and right hip are in one place")
-    if (
-        np.median(_norm(get("left_shoulder") - get("right_shoulder")))
-        < 0.05 * stature
-    ):
-        fail("left and right shoulder are in one place")
-    trunk_up = normalize(shoulders - p["pelvis"])
+
+def _place_trunk(recording):
+    """Returns pelvis, waist, neck, head and its top by name.
+
+    A joint of the spine that is near a landmark serves as it, because it
+    bends where the person does; else the landmark is on a straight line.
+    """
+    stature = recording.stature
+    _require_width(recording, "hip", 0.02)
+    _require_width(recording, "shoulder", 0.05)
+    pelvis, shoulders = recording.middle("hip"), recording.middle("shoulder")
+    trunk_up = normalize(shoulders - pelvis)
     base = shoulders + 0.017 * stature * trunk_up
-    head = roles.get("head")
+    head = recording.roles.get("head")
     if head is not None:
-        chain = _list_ancestors(file, head)
-        p["head"] = positions[:, head]
+        spine = _list_ancestors(recording.file, head)[1:]
     else:
-        chain = _list_ancestors(
-            file, file.joints[roles["left_shoulder"]].parent
-        )
-        p["head"] = base + 0.05 * stature * trunk_up
-    # A joint that is anywhere near serves, as it bends where the person does.
-    candidates = chain[1:] if head is not None else chain
-    away = [np.median(_norm(positions[:, j] - base)) for j in candidates]
-    p["neck"] = base
-    if away and min(away) < 0.04 * stature:
-        p["neck"] = positions[:, candidates[int(np.argmin(away))]]
-    wanted = p["pelvis"] + 0.34 * (p["neck"] - p["pelvis"])
-    away = [np.median(_norm(positions[:, j] - wanted)) for j in candidates]
-    p["waist"] = wanted
-    if away and min(away) < 0.06 * stature:
-        p["waist"] = positions[:, candidates[int(np.argmin(away))]]
-    axis = normalize(p["head"] - p["neck"])
-    if np.median(_norm(p["head"] - p["neck"])) < 0.01 * stature:
-        axis = trunk_up
-        p["head"] = p["neck"] + 0.05 * stature * axis
+        collar = recording.file.joints[recording.roles["left_shoulder"]].parent
+        spine = _list_ancestors(recording.file, collar)
+    neck = _find_near(recording, spine, base, 0.04)
+    wanted = pelvis + 0.34 * (neck - pelvis)
+    point = {
+        "pelvis": pelvis,
+        "waist": _find_near(recording, spine, wanted, 0.06),
+        "neck": neck,
+    }
     if head is not None:
-        ends = [
-            j
-            for j, joint in enumerate(file.joints)
-            if head in _list_ancestors(file, j)[1:]
-        ]
-        reach = [np.median(positions[:, j, 2] - p["head"][:, 2]) for j in ends]
-        if ends and max(reach) > 0.03 * stature:
-            crown = positions[:, ends[int(np.argmax(reach))]]
-            axis = normalize(crown - p["head"])
-    p["head_top"] = p["head"] + 0.115 * stature * axis
+        p_head = recording.positions[:, head]
+    else:
+        p_head = base + 0.05 * stature * trunk_up
+    axis = normalize(p_head - neck)
+    if np.median(_norm(p_head - neck)) < 0.01 * stature:
+        axis = trunk_up
+        p_head = neck + 0.05 * stature * axis
+    crown = None if head is None else _find_crown(recording, head, p_head)
+    if crown is not None:
+        axis = normalize(crown - p_head)
+    point["head"] = p_head
+    point["head_top"] = p_head + 0.115 * stature * axis
+    return point
 
-    # Limbs.
-    for side in ("left", "right"):
-        for role in ("shoulder", "elbow", "wrist", "hip", "knee", "ankle"):
-            p[f"{side}_{role}"] = get(f"{side}_{role}")
-        wrist = roles[f"{side}_wrist"]
-        tip = _find_hand(file, positions, wrist, 0.012 * stature)
-        if tip is None:
-            along = p[f"{side}_wrist"] - p[f"{side}_elbow"]
-        else:
-            along = positions[:, tip] - positions[:, wrist]
-        p[f"{side}_hand"] = p[
-            f"{side}_wrist"
-        ] + KNUCKLE_LENGTH * stature * normalize(along)
-    left = p["left_hip"] - p["right_hip"]
-    facing = normalize(np.cross(left, [0.0, 0.0, 1.0]))
-    for side in ("left", "right"):
-        ankle = roles[f"{side}_ankle"]
-        p_toe = None
-        if f"{side}_toe" in roles:
-            p_toe = get(f"{side}_toe")
-            if np.median(_norm(p_toe - get(f"{side}_ankle"))) < (
-                0.02 * stature
-            ):
-                p_toe = None
-        foot = {}
-        _place_feet(
-            foot,
-            positions[:, ankle],
-            rotations[ankle],
-            p_toe,
-            facing,
-            stature,
-        )
-        p |= {f"{side}_{name}": value for name, value in foot.items()}
-    landmarks = np.stack([p[name] for name in LANDMARKS], axis=1)
+
+def _require_width(recording, role, least):
+    """Fails if left and right are nearer than a fraction of the stature."""
+    span = recording.get(f"left_{role}") - recording.get(f"right_{role}")
+    if np.median(_norm(span)) < least * recording.stature:
+        _make_fail(recording.file)(f"left and right {role} are in one place")
+
+
+def _find_near(recording, joints, wanted, farthest):
+    """Returns the joint nearest to a landmark, or the landmark itself, (T, 3).
+
+    The latter if no joint is within a fraction of the stature.
+    """
+    away = [
+        np.median(_norm(recording.positions[:, j] - wanted)) for j in joints
+    ]
+    if away and min(away) < farthest * recording.stature:
+        return recording.positions[:, joints[int(np.argmin(away))]]
+    return wanted
+
+
+def _find_crown(recording, head, p_head):
+    """Returns the highest joint beyond the head, (T, 3), if there is any."""
+    file, positions = recording.file, recording.positions
+    beyond = [
+        j
+        for j in range(len(file.joints))
+        if head in _list_ancestors(file, j)[1:]
+    ]
+    rise = [np.median(positions[:, j, 2] - p_head[:, 2]) for j in beyond]
+    if not beyond or max(rise) <= 0.03 * recording.stature:
+        return None
+    return positions[:, beyond[int(np.argmax(rise))]]
+
+
+def _place_limbs(recording, side):
+    """Returns the joints of one arm and one leg and the knuckles by name."""
+    point = {
+        f"{side}_{role}": recording.get(f"{side}_{role}") for role in _REQUIRED
+    }
+    p_wrist = point[f"{side}_wrist"]
+    tip = _find_hand(
+        recording.file,
+        recording.positions,
+        recording.roles[f"{side}_wrist"],
+        0.012 * recording.stature,
+    )
+    if tip is None:
+        along = p_wrist - point[f"{side}_elbow"]
+    else:
+        along = recording.positions[:, tip] - p_wrist
+    length = KNUCKLE_LENGTH * recording.stature
+    point[f"{side}_hand"] = p_wrist + length * normalize(along)
+    return point
+
+
+def _place_foot(recording, side, facing):
+    """Returns heel and toe of one foot by name; both are rigid with it."""
+    stature = recording.stature
+    p_ankle = recording.get(f"{side}_ankle")
+    p_toe = None
+    if f"{side}_toe" in recording.roles:
+        p_toe = recording.get(f"{side}_toe")
+        if np.median(_norm(p_toe - p_ankle)) < 0.02 * stature:
+            p_toe = None
+    R_foot = recording.rotations[recording.roles[f"{side}_ankle"]]
+    flat = _find_flat(p_ankle, p_toe)
+    R_flat = R_foot[flat]
+    up = normalize(R_flat[:, 2, :].mean(axis=0))
+    if p_toe is not None:
+        span = p_toe[flat] - p_ankle[flat]
+    else:
+        span = 0.09 * stature * facing[flat]
+    ahead = np.einsum("tji,tj->ti", R_flat, span).mean(axis=0)
+    height = max(
+        ANKLE_HEIGHT * stature,
+        -float(up @ ahead) + 0.6 * FOOT_RADIUS * stature,
+    )
+    ahead = ahead - (up @ ahead) * up
+    length = float(np.clip(_norm(ahead), 0.072 * stature, 0.12 * stature))
+    ahead = normalize(ahead)
+    down = (FOOT_RADIUS * stature - height) * up
+    return {
+        f"{side}_heel": p_ankle
+        + R_foot @ (down - HEEL_LENGTH * stature * ahead),
+        f"{side}_toe": p_ankle + R_foot @ (down + length * ahead),
+    }
+
+
+def _find_flat(p_ankle, p_toe):
+    """Returns rows in which ankle and toe are lowest: the sole is level."""
+    low = p_ankle[:, 2]
+    flat = np.flatnonzero(low <= np.quantile(low, 0.25))
+    if p_toe is not None:
+        toe_low = p_toe[flat, 2]
+        flat = flat[toe_low <= np.quantile(toe_low, 0.5)]
+    return flat
+
+
+def _stand_on_floor(landmarks, recording, dt):
+    """Puts the soles on z = 0; changes landmarks."""
     has_position = any(
         kind == "position"
-        for j in _list_ancestors(file, roles["left_hip"])
-        for kind, _ in file.joints[j].channels
+        for j in _list_ancestors(recording.file, recording.roles["left_hip"])
+        for kind, _ in recording.file.joints[j].channels
     )
-    sole = FOOT_RADIUS * stature
+    sole = FOOT_RADIUS * recording.stature
     if has_position:
         landmarks[:, :, 2] += sole - _find_floor(landmarks, dt)
         _lift_feet(landmarks, sole)
     else:
         landmarks[:, :, 2] += sole - calc_lowest(landmarks)[:, None]
         plant_feet(landmarks, dt)
-    return Performance(
-        landmarks=landmarks, stature=float(stature), units=scale, up=up
-    )
 
 
 _FEET = [
@@ -508,10 +612,10 @@ def calc_lowest(landmarks: np.ndarray) -> np.ndarray:
 
 
 def _find_floor(landmarks, dt):
-    """Height at which the lowest foot usually comes to rest.
+    """Returns the height at which the lowest foot usually comes to rest.
 
-    Not the lowest height ever: toes are recorded as going through the floor
-    when someone kneels, and a marker may jump.
+    Not the lowest height of all: recorded toes go through the floor when
+    someone kneels, and a marker may jump.
     """
     feet = landmarks[:, _FEET]
     lowest = np.argmin(feet[:, :, 2], axis=1)
@@ -524,7 +628,7 @@ def _find_floor(landmarks, dt):
 
 
 def _lift_feet(landmarks, sole):
-    """Takes feet that are below the floor up to it; the knees give way."""
+    """Lifts feet that are below the floor up to it; the knees bend."""
     for side in ("left", "right"):
         hip, knee, ankle, heel, toe = (
             LANDMARK_INDEX[f"{side}_{name}"]
@@ -538,7 +642,7 @@ def _lift_feet(landmarks, sole):
         thigh = float(np.median(_norm(p[:, knee] - p[:, hip])))
         shank = float(np.median(_norm(p[:, ankle] - p[:, knee])))
         bend = p[:, knee] - 0.5 * (p[:, hip] + p[:, ankle])
-        # A straight leg says little about where its knee would go.
+        # A straight leg does not show which way its knee bends.
         bend = bend + 0.05 * (p[:, toe] - p[:, heel])
         p[:, (ankle, heel, toe), 2] += lift[low, None]
         p[:, knee] = solve_knee(p[:, hip], p[:, ankle], thigh, shank, bend)
@@ -546,7 +650,7 @@ def _lift_feet(landmarks, sole):
 
 
 def calc_facing(landmarks: np.ndarray) -> np.ndarray:
-    """Returns where hips and shoulders face.
+    """Returns the direction that hips and shoulders face.
 
     Args:
         landmarks: Positions in the order of LANDMARKS, m, shape (T, l, 3).
@@ -566,7 +670,7 @@ def calc_facing(landmarks: np.ndarray) -> np.ndarray:
 
 
 def plant_feet(landmarks: np.ndarray, dt: float) -> None:
-    """Moves a person who has no travel so that the lowest foot stands.
+    """Moves a person recorded on the spot so that the lowest foot stands.
 
     Args:
         landmarks: Positions in the order of LANDMARKS, m, changed in place,

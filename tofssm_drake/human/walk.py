@@ -4,6 +4,7 @@ import dataclasses as dc
 import math
 
 import numpy as np
+from scipy.interpolate import PchipInterpolator
 
 from tofssm_drake.errors import require
 from tofssm_drake.human.figure_eight import FigureEight, FigureEightPath
@@ -40,7 +41,7 @@ _STANCE = 0.61
 """Fraction of the stride in which a foot is on the floor."""
 
 _LONGEST_REACH = 0.998
-"""Of the leg's length: no knee is ever locked."""
+"""Fraction of the leg's length: no knee is ever locked."""
 
 DOWN = 0.35
 """A foot is down while its lowest part is slower than this, as a fraction of
@@ -50,6 +51,8 @@ _MOST_LAPS = 5
 
 _LEG_NAMES = ("knee", "ankle", "heel", "toe")
 _FOOT_NAMES = ("ankle", "heel", "toe")
+_SIGN = {"left": 1, "right": -1}
+"""Of y in G, by side."""
 
 
 @dc.dataclass(frozen=True, eq=False, kw_only=True)
@@ -73,7 +76,7 @@ class Gait:
 
 @dc.dataclass(kw_only=True)
 class GeneratedWalk:
-    """A person walking round the figure of eight without end."""
+    """A person who walks round the figure of eight for ever."""
 
     # Walking speed along the path, m/s. *Assumed*: an adult in no hurry.
     speed: float = 1.2
@@ -102,34 +105,12 @@ class GeneratedWalk:
 
 
 def _interpolate_cycle(phase, knots, values):
-    """Periodic interpolation without overshoot, smooth at the knots.
-
-    Cubic Hermite pieces with the slopes of Fritsch and Carlson (1980).
-    """
+    """Interpolates a periodic curve with phase in [0, 1), without overshoot."""
     knots = np.asarray(knots, float)
-    values = np.asarray(values, float)
-    x = np.concatenate([knots, [knots[0] + 1.0]])
-    y = np.concatenate([values, [values[0]]])
-    h = np.diff(x)
-    secant = np.diff(y) / h
-    before = np.roll(secant, 1)
-    h_before = np.roll(h, 1)
-    w1 = 2 * h + h_before
-    w2 = h + 2 * h_before
-    same = before * secant > 0
-    with np.errstate(divide="ignore", invalid="ignore"):
-        harmonic = (w1 + w2) / (w1 / before + w2 / secant)
-    slope = np.where(same, harmonic, 0.0)
-    slope = np.concatenate([slope, slope[:1]])
-    phase = (np.asarray(phase, float) - knots[0]) % 1.0 + knots[0]
-    i = np.clip(np.searchsorted(x, phase, side="right") - 1, 0, len(h) - 1)
-    u = (phase - x[i]) / h[i]
-    return (
-        (1 + 2 * u) * (1 - u) ** 2 * y[i]
-        + u * (1 - u) ** 2 * h[i] * slope[i]
-        + u**2 * (3 - 2 * u) * y[i + 1]
-        + u**2 * (u - 1) * h[i] * slope[i + 1]
+    curve = PchipInterpolator(
+        np.concatenate([knots - 1.0, knots, knots + 1.0]), np.tile(values, 3)
     )
+    return curve(phase)
 
 
 def solve_knee(
@@ -149,8 +130,8 @@ def solve_knee(
         forward: Where the knee points, any length, shape (n, 3).
 
     Returns:
-        Knees, m, shape (n, 3). A leg that is too short for its ankle gets
-        its knee on the straight line.
+        Knees, m, shape (n, 3). Where a leg is too short for its ankle, the
+        knee lies on the straight line.
     """
     span = p_ankle - p_hip
     distance = np.linalg.norm(span, axis=-1, keepdims=True)
@@ -164,9 +145,28 @@ def solve_knee(
 
 
 def _rotate(x, z, pitch):
-    """Turns (forward, up) by a pitch, nose down positive."""
+    """Rotates (forward, up) by a pitch, nose down positive."""
     c, s = np.cos(pitch), np.sin(pitch)
     return c * x + s * z, -s * x + c * z
+
+
+@dc.dataclass(frozen=True, eq=False, kw_only=True)
+class _Style:
+    """What all parts of a generated body move by."""
+
+    phase: np.ndarray
+    """Of the stride, shape (N,)."""
+    stride: float
+    """Length of two steps, m."""
+    stature: float
+    """Standing height, m."""
+    vigour: float
+    """Amplitude of the motion; 1 at 1.2 m/s for an adult of 1.75 m."""
+
+    @property
+    def wave(self) -> np.ndarray:
+        """Phase as an angle, rad, shape (N,)."""
+        return 2 * np.pi * self.phase
 
 
 def make_gait(*, speed: float, stride: float, stature: float) -> Gait:
@@ -174,8 +174,8 @@ def make_gait(*, speed: float, stride: float, stature: float) -> Gait:
 
     The feet are placed first: each lands on its heel, stands, and rolls over
     its toe without slipping. Pelvis and trunk follow; the knees are solved
-    from hip and ankle. Angles and timing are those of the textbooks (Perry,
-    "Gait Analysis"; Winter), rounded.
+    from hip and ankle. Angles and timing are rounded textbook values (Perry,
+    "Gait Analysis"; Winter).
 
     Args:
         speed: Mean forward speed, m/s.
@@ -185,109 +185,143 @@ def make_gait(*, speed: float, stride: float, stature: float) -> Gait:
     Returns:
         The stride; at phase 0 the left heel lands, at 0.5 the right one.
     """
-    phase = np.arange(_PHASES) / _PHASES
-    H = stature
-    # Vigour: 1 at 1.2 m/s for an adult of 1.75 m.
-    vigour = min(stride / (1.37 * H / 1.75), 1.3)
-    landmarks = np.zeros((_PHASES, len(LANDMARKS), 3))
+    style = _Style(
+        phase=np.arange(_PHASES) / _PHASES,
+        stride=stride,
+        stature=stature,
+        vigour=min(stride / (1.37 * stature / 1.75), 1.3),
+    )
+    point = _place_foot(style, "left") | _place_foot(style, "right")
+    point |= _place_pelvis(style, point)
+    for side in _SIGN:
+        point[f"{side}_knee"] = _place_knee(style, point, side)
+    point |= _place_trunk(style, point["pelvis"])
+    for side in _SIGN:
+        point |= _place_arm(style, point[f"{side}_shoulder"], side)
+    return Gait(
+        landmarks=np.stack([point[name] for name in LANDMARKS], axis=1),
+        stride=stride,
+        period=stride / speed,
+        stature=stature,
+    )
 
-    def put(name, x, y, z):
-        landmarks[:, LANDMARK_INDEX[name]] = np.stack(
-            np.broadcast_arrays(x, y, z, phase)[:3], axis=-1
-        )
 
-    # Feet.
+def _stack(x, y, z):
+    """Returns points (N, 3) of coordinates that are numbers or (N,)."""
+    rows = np.zeros(_PHASES)
+    return np.stack(np.broadcast_arrays(x, y, z, rows)[:3], axis=-1)
+
+
+def _place_foot(style, side):
+    """Returns toe, heel and ankle of one foot by name."""
+    H, stride, sign = style.stature, style.stride, _SIGN[side]
     radius = FOOT_RADIUS * H
     foot = FOOT_LENGTH * H - 2 * radius
     back = HEEL_LENGTH * H
-    ankle_rise = ANKLE_HEIGHT * H - radius
-    leg_phases = {"left": phase, "right": (phase + 0.5) % 1.0}
-    for side, sign in (("left", 1), ("right", -1)):
-        u = leg_phases[side]
-        pitch = np.radians(
-            _interpolate_cycle(
-                u,
-                [0.0, 0.09, 0.30, 0.50, _STANCE, 0.69, 0.85, 0.96],
-                np.array([-20, 0, 0, 24, 64, 56, 4, -19]) * min(vigour, 1.15),
-            )
+    u = style.phase if side == "left" else (style.phase + 0.5) % 1.0
+    pitch = _calc_foot_pitch(u, style.vigour)
+    # The heel lies still from landing until the foot is flat, the toe from
+    # then until it leaves the floor.
+    heel_landing = 0.235 * stride - back
+    toe_stance = heel_landing + foot
+    toe_landing = heel_landing + foot * np.cos(pitch[np.argmin(u)])
+    swing = np.clip((u - _STANCE) / (1 - _STANCE), 0.0, 1.0)
+    toe_x = np.where(
+        u <= _STANCE,
+        heel_landing + foot * np.where(u < 0.09, np.cos(pitch), 1.0),
+        toe_stance + ease(swing) * (stride + toe_landing - toe_stance),
+    )
+    clearance = H * _interpolate_cycle(
+        u,
+        [0.0, _STANCE, 0.69, 0.80, 0.94],
+        [0.0, 0.0, 0.030, 0.016, 0.010],
+    )
+    toe_z = radius + clearance + foot * np.maximum(np.sin(-pitch), 0.0)
+    toe_x = toe_x - stride * u
+    y = sign * 0.048 * H
+    turned_out = math.radians(sign * 6.0)
+    toe_y = y + foot * math.sin(turned_out) / 2
+    point = {f"{side}_toe": _stack(toe_x, toe_y, toe_z)}
+    heel = _rotate(-foot, 0.0, pitch)
+    ankle = _rotate(back - foot, ANKLE_HEIGHT * H - radius, pitch)
+    for name, (x, z) in (("heel", heel), ("ankle", ankle)):
+        point[f"{side}_{name}"] = _stack(
+            toe_x + x * math.cos(turned_out),
+            y + (foot / 2 + x) * math.sin(turned_out),
+            toe_z + z,
         )
-        # The heel lies still from landing until the foot is flat, the toe
-        # from then until it leaves the floor.
-        heel_landing = 0.235 * stride - back
-        toe_stance = heel_landing + foot
-        toe_landing = heel_landing + foot * np.cos(pitch[np.argmin(u)])
-        swing = np.clip((u - _STANCE) / (1 - _STANCE), 0.0, 1.0)
-        toe_x = np.where(
-            u <= _STANCE,
-            heel_landing + foot * np.where(u < 0.09, np.cos(pitch), 1.0),
-            toe_stance + ease(swing) * (stride + toe_landing - toe_stance),
-        )
-        clearance = H * _interpolate_cycle(
-            u,
-            [0.0, _STANCE, 0.69, 0.80, 0.94],
-            [0.0, 0.0, 0.030, 0.016, 0.010],
-        )
-        toe_z = radius + clearance + foot * np.maximum(np.sin(-pitch), 0.0)
-        toe_x = toe_x - stride * u
-        y = sign * 0.048 * H
-        turned_out = math.radians(sign * 6.0)
-        heel = _rotate(-foot, 0.0, pitch)
-        ankle = _rotate(back - foot, ankle_rise, pitch)
-        put(f"{side}_toe", toe_x, y + foot * math.sin(turned_out) / 2, toe_z)
-        for name, (x, z) in (("heel", heel), ("ankle", ankle)):
-            put(
-                f"{side}_{name}",
-                toe_x + x * math.cos(turned_out),
-                y + (foot / 2 + x) * math.sin(turned_out),
-                toe_z + z,
-            )
+    return point
 
-    # Pelvis: lowest when both feet are down, towards the standing foot.
-    wave = 2 * np.pi * phase
+
+def _calc_foot_pitch(u, vigour):
+    """Returns the pitch of a foot, toe down positive, rad, (N,)."""
+    degrees = np.array([-20, 0, 0, 24, 64, 56, 4, -19]) * min(vigour, 1.15)
+    knots = [0.0, 0.09, 0.30, 0.50, _STANCE, 0.69, 0.85, 0.96]
+    return np.radians(_interpolate_cycle(u, knots, degrees))
+
+
+def _place_pelvis(style, feet):
+    """Returns pelvis and hips by name, as high as the legs reach.
+
+    The pelvis is lowest when both feet are down, and moves towards the
+    standing foot.
+    """
+    H, vigour, wave = style.stature, style.vigour, style.wave
     bob = -0.011 * H * vigour * np.cos(2 * wave - 0.55)
     sway = 0.012 * H * np.sin(wave - 0.25)
     yaw = np.radians(5.0) * vigour * np.cos(wave)
     roll = np.radians(3.0) * vigour * np.sin(wave - 0.1)
     half_hips = HALF_HIP_JOINT_BREADTH * H
-    thigh, shank = THIGH_LENGTH * H, SHANK_LENGTH * H
-    hips = {}
-    for side, sign in (("left", 1), ("right", -1)):
+    hips = {
         # A left hip that is ahead turns the pelvis to the right.
-        hips[side] = np.stack(
-            [
-                sign * half_hips * np.sin(yaw),
-                sway + sign * half_hips * np.cos(yaw),
-                bob + sign * half_hips * np.sin(roll),
-            ],
-            axis=-1,
+        side: _stack(
+            sign * half_hips * np.sin(yaw),
+            sway + sign * half_hips * np.cos(yaw),
+            bob + sign * half_hips * np.sin(roll),
         )
-    reach = _LONGEST_REACH * (thigh + shank)
-    pelvis_z = HIP_HEIGHT * H
-    for side in ("left", "right"):
-        ankle = landmarks[:, LANDMARK_INDEX[f"{side}_ankle"]]
-        flat = np.linalg.norm((ankle - hips[side])[:, :2], axis=-1)
-        highest = ankle[:, 2] + np.sqrt(np.maximum(reach**2 - flat**2, 0.0))
-        pelvis_z = min(pelvis_z, np.min(highest - hips[side][:, 2]))
-    put("pelvis", 0.0, sway, pelvis_z + bob)
-    for side in ("left", "right"):
-        p_hip = hips[side] + [0.0, 0.0, pelvis_z]
-        landmarks[:, LANDMARK_INDEX[f"{side}_hip"]] = p_hip
-        toe = landmarks[:, LANDMARK_INDEX[f"{side}_toe"]]
-        p_heel = landmarks[:, LANDMARK_INDEX[f"{side}_heel"]]
-        ahead = (toe - p_heel) * [1.0, 1.0, 0.0] + [0.2, 0.0, 0.0]
-        landmarks[:, LANDMARK_INDEX[f"{side}_knee"]] = solve_knee(
-            p_hip,
-            landmarks[:, LANDMARK_INDEX[f"{side}_ankle"]],
-            thigh,
-            shank,
-            ahead,
-        )
+        for side, sign in _SIGN.items()
+    }
+    reach = _LONGEST_REACH * (THIGH_LENGTH * H + SHANK_LENGTH * H)
+    height = HIP_HEIGHT * H
+    for side, hip in hips.items():
+        room = _calc_highest_hip(hip, feet[f"{side}_ankle"], reach) - hip[:, 2]
+        height = min(height, np.min(room))
+    point = {"pelvis": _stack(0.0, sway, height + bob)}
+    for side, hip in hips.items():
+        point[f"{side}_hip"] = hip + np.array([0.0, 0.0, height])
+    return point
 
-    # Trunk: leans a little, turns against the pelvis.
+
+def _calc_highest_hip(p_hip, p_ankle, reach):
+    """Returns the greatest height at which a leg reaches its ankle, m, (n,).
+
+    The hip keeps its place over the floor.
+    """
+    flat = np.linalg.norm((p_ankle - p_hip)[:, :2], axis=-1)
+    return p_ankle[:, 2] + np.sqrt(np.maximum(reach**2 - flat**2, 0.0))
+
+
+def _place_knee(style, point, side):
+    toe, heel = point[f"{side}_toe"], point[f"{side}_heel"]
+    return solve_knee(
+        point[f"{side}_hip"],
+        point[f"{side}_ankle"],
+        THIGH_LENGTH * style.stature,
+        SHANK_LENGTH * style.stature,
+        (toe - heel) * [1.0, 1.0, 0.0] + [0.2, 0.0, 0.0],
+    )
+
+
+def _place_trunk(style, pelvis):
+    """Returns waist to head and shoulders by name.
+
+    The trunk leans a little and turns against the pelvis.
+    """
+    H, vigour = style.stature, style.vigour
+    _, sway, base_z = pelvis.T
     lean = math.radians(2.0 + 2.0 * vigour)
-    base_z = pelvis_z + bob
 
-    def up_trunk(height, sway_share):
+    def go_up(height, sway_share):
         rise = (height - HIP_HEIGHT) * H
         return (
             rise * math.sin(lean),
@@ -295,45 +329,49 @@ def make_gait(*, speed: float, stride: float, stature: float) -> Gait:
             base_z + rise * math.cos(lean),
         )
 
-    put("waist", *up_trunk(WAIST_HEIGHT, 0.9))
-    put("neck", *up_trunk(NECK_HEIGHT, 0.7))
-    neck_x, _, _ = up_trunk(NECK_HEIGHT, 0.7)
-    for name, height in (("head", HEAD_JOINT_HEIGHT), ("head_top", 1.0)):
-        _, y, z = up_trunk(height, 0.7)
-        ahead = 0.012 * H if name == "head" else 0.016 * H
-        put(name, neck_x + ahead, y, z)
-
-    twist = -np.radians(6.0) * vigour * np.cos(wave)
+    point = {
+        "waist": _stack(*go_up(WAIST_HEIGHT, 0.9)),
+        "neck": _stack(*go_up(NECK_HEIGHT, 0.7)),
+    }
+    neck_x = go_up(NECK_HEIGHT, 0.7)[0]
+    for name, height, ahead in (
+        ("head", HEAD_JOINT_HEIGHT, 0.012 * H),
+        ("head_top", 1.0, 0.016 * H),
+    ):
+        _, y, z = go_up(height, 0.7)
+        point[name] = _stack(neck_x + ahead, y, z)
+    twist = -np.radians(6.0) * vigour * np.cos(style.wave)
     half_shoulders = HALF_SHOULDER_BREADTH * H * 0.9
-    shoulder_x, shoulder_y, shoulder_z = up_trunk(SHOULDER_HEIGHT, 0.7)
-    for side, sign in (("left", 1), ("right", -1)):
-        forward = -sign * np.cos(wave)  # Against the leg of its side.
-        swing = math.radians(20.0) * vigour * forward + math.radians(-3.0)
-        bend = math.radians(14.0) + math.radians(9.0) * vigour * (1.0 + forward)
-        p = [
-            shoulder_x + sign * half_shoulders * np.sin(twist),
-            shoulder_y + sign * half_shoulders * np.cos(twist),
-            shoulder_z + np.zeros(_PHASES),
-        ]
-        put(f"{side}_shoulder", *p)
-        spread = math.radians(9.0)
-        for name, length, angle, aside in (
-            ("elbow", UPPER_ARM_LENGTH, swing, spread),
-            ("wrist", FOREARM_LENGTH, swing + bend, 0.2 * spread),
-            ("hand", KNUCKLE_LENGTH, swing + 1.1 * bend, -0.3 * spread),
-        ):
-            p = [
-                p[0] + length * H * np.sin(angle) * math.cos(aside),
-                p[1] + sign * length * H * math.sin(aside),
-                p[2] - length * H * np.cos(angle) * math.cos(aside),
-            ]
-            put(f"{side}_{name}", *p)
-    return Gait(
-        landmarks=landmarks,
-        stride=stride,
-        period=stride / speed,
-        stature=stature,
-    )
+    x, y, z = go_up(SHOULDER_HEIGHT, 0.7)
+    for side, sign in _SIGN.items():
+        point[f"{side}_shoulder"] = _stack(
+            x + sign * half_shoulders * np.sin(twist),
+            y + sign * half_shoulders * np.cos(twist),
+            z,
+        )
+    return point
+
+
+def _place_arm(style, p_shoulder, side):
+    """Returns elbow, wrist and hand by name; they swing against the leg."""
+    sign, vigour = _SIGN[side], style.vigour
+    forward = -sign * np.cos(style.wave)
+    swing = math.radians(20.0) * vigour * forward + math.radians(-3.0)
+    bend = math.radians(14.0) + math.radians(9.0) * vigour * (1.0 + forward)
+    spread = math.radians(9.0)
+    x, y, z = p_shoulder.T
+    point = {}
+    for name, length, angle, aside in (
+        ("elbow", UPPER_ARM_LENGTH, swing, spread),
+        ("wrist", FOREARM_LENGTH, swing + bend, 0.2 * spread),
+        ("hand", KNUCKLE_LENGTH, swing + 1.1 * bend, -0.3 * spread),
+    ):
+        length = length * style.stature
+        x = x + length * np.sin(angle) * math.cos(aside)
+        y = y + sign * length * math.sin(aside)
+        z = z - length * np.cos(angle) * math.cos(aside)
+        point[f"{side}_{name}"] = _stack(x, y, z)
+    return point
 
 
 def smooth(values: np.ndarray, width: int) -> np.ndarray:
@@ -377,7 +415,7 @@ def calc_slip(landmarks: np.ndarray, side: str, dt: float) -> np.ndarray:
 def calc_cycle_slip(
     cycle: np.ndarray, side: str, stride: float, dt: float
 ) -> np.ndarray:
-    """Returns calc_slip of a stride that goes on for ever, (N, 2)."""
+    """Returns calc_slip of an endlessly repeated stride, (N, 2)."""
     count = len(cycle)
     # Three strides in a row, so that the middle one has no ends.
     thrice = np.tile(cycle, (3, 1, 1))
@@ -411,7 +449,7 @@ def ease(u: np.ndarray) -> np.ndarray:
 
 
 def _calc_anchor(gait, side):
-    """Which point of a straight path a foot belongs to, x in G, (N,).
+    """Returns the point of a straight path that a foot goes with, x in G, (N,).
 
     It lies still on the floor, amid the foot, while the foot does.
     """
@@ -442,11 +480,81 @@ def _calc_anchor(gait, side):
 
 
 def _calc_smooth_drop(need, window):
-    """A periodic curve that is nowhere below `need` and has no corners."""
+    """Returns a periodic curve nowhere below `need` and without corners."""
     window = max(1, min(window, len(need) // 4))
     offsets = range(-window, window + 1)
     highest = np.max([np.roll(need, k) for k in offsets], axis=0)
     return np.mean([np.roll(highest, k) for k in offsets], axis=0)
+
+
+@dc.dataclass(frozen=True, eq=False, kw_only=True)
+class _Route:
+    """Where on a path a walker is, row by row."""
+
+    path: FigureEightPath
+    s: np.ndarray
+    """Arc length, m, shape (T,)."""
+    phase: np.ndarray
+    """Strides made so far, shape (T,)."""
+    stretch: float
+    """Stride on the path over the gait's own."""
+    half_step: float
+    """m. Shoulders face along a chord of about one step: they do not follow
+    every bend at once."""
+
+    @staticmethod
+    def make(gait, path, speed, dt, any_stride) -> "_Route":
+        """Lays whole strides on whole laps; arguments as for `carry_gait`."""
+        laps, strides = _choose_laps(gait, path, any_stride)
+        total = laps * path.length
+        stretch = total / (strides * gait.stride)
+        rows = max(2, round(total / (speed * dt)))
+        return _Route(
+            path=path,
+            s=total * np.arange(rows) / rows,
+            phase=strides * np.arange(rows) / rows,
+            stretch=stretch,
+            half_step=0.25 * stretch * gait.stride,
+        )
+
+
+def _choose_laps(gait, path, any_stride):
+    """Returns the numbers of laps and of strides in them."""
+    if any_stride:
+        return 1, max(1, round(path.length / gait.stride))
+
+    def calc_cost(candidate):
+        laps, strides = candidate
+        stretch = laps * path.length / (strides * gait.stride)
+        return abs(stretch - 1.0) + 0.004 * laps
+
+    candidates = [
+        (k, max(1, round(k * path.length / gait.stride)))
+        for k in range(1, _MOST_LAPS + 1)
+    ]
+    return min(candidates, key=calc_cost)
+
+
+def _sample_cycle(values, phase):
+    """Interpolates a cycle of N rows linearly at phases (T,)."""
+    count = len(values)
+    index = (phase % 1.0) * count
+    low = np.floor(index).astype(int) % count
+    shape = (-1, *[1] * (values.ndim - 1))
+    weight = (index - np.floor(index)).reshape(shape)
+    return (1 - weight) * values[low] + weight * values[(low + 1) % count]
+
+
+def _lay(origin, direction, p_G):
+    """Puts points (T, 3) of G where the path is and heads, (T, 3)."""
+    x, y, z = p_G.T
+    left = np.stack([-direction[:, 1], direction[:, 0]], axis=-1)
+    floor = origin + x[:, None] * direction + y[:, None] * left
+    return np.concatenate([floor, z[:, None]], axis=-1)
+
+
+def _get_indices(side, *names):
+    return [LANDMARK_INDEX[f"{side}_{name}"] for name in names]
 
 
 def carry_gait(
@@ -459,10 +567,10 @@ def carry_gait(
 ) -> HumanMotion:
     """Carries a stride along a closed path, round and round.
 
-    The trunk rides along the path as a rigid whole. Each foot belongs to a
-    point of the path that lies still while the foot is down: what lies still
-    in straight walking so lies still on the curve. Then the knees are
-    solved, with the bones' own lengths.
+    The trunk rides along the path as a rigid whole. Each foot goes with a
+    point of the path that lies still while the foot is down, so that a foot
+    that stands still in straight walking also does on a curve. Then the knees
+    are solved, keeping the lengths of the bones.
 
     Args:
         gait: The stride.
@@ -477,105 +585,74 @@ def carry_gait(
     Returns:
         The motion, which loops.
     """
-    laps, strides = 1, max(1, round(path.length / gait.stride))
-    if not any_stride:
-        candidates = [
-            (k, max(1, round(k * path.length / gait.stride)))
-            for k in range(1, _MOST_LAPS + 1)
-        ]
-        laps, strides = min(
-            candidates,
-            key=lambda c: (
-                abs(c[0] * path.length / (c[1] * gait.stride) - 1.0)
-                + 0.004 * c[0]
-            ),
-        )
-    total = laps * path.length
-    stretch = total / (strides * gait.stride)
-    rows = max(2, round(total / (speed * dt)))
-    s = total * np.arange(rows) / rows
-    phase = strides * np.arange(rows) / rows
-    cycle = len(gait.landmarks)
-    index = (phase % 1.0) * cycle
-    low = np.floor(index).astype(int) % cycle
-    weight = (index - np.floor(index))[:, None, None]
-    p_G = (1 - weight) * gait.landmarks[low] + weight * gait.landmarks[
-        (low + 1) % cycle
-    ]
-
-    def lay(origin, direction, x, y, z):
-        left = np.stack([-direction[:, 1], direction[:, 0]], axis=-1)
-        floor = origin + x[:, None] * direction + y[:, None] * left
-        return np.concatenate([floor, z[:, None]], axis=-1)
-
-    # A chord of about one step: shoulders do not follow every bend at once.
-    half_step = 0.25 * stretch * gait.stride
-    origin = path.calc_position(s)
-    direction = path.calc_direction(s, half_step)
+    route = _Route.make(gait, path, speed, dt, any_stride)
+    p_G = _sample_cycle(gait.landmarks, route.phase)
+    origin = path.calc_position(route.s)
+    direction = path.calc_direction(route.s, route.half_step)
     p_W = np.empty_like(p_G)
     for i in range(len(LANDMARKS)):
-        p_W[:, i] = lay(origin, direction, *p_G[:, i].T)
-    for side in ("left", "right"):
-        cycle_anchor = _calc_anchor(gait, side)
-        anchor = (1 - weight[:, 0, 0]) * cycle_anchor[low] + weight[
-            :, 0, 0
-        ] * cycle_anchor[(low + 1) % cycle]
-        abreast = s + stretch * anchor
-        foot_direction = path.calc_direction(abreast, 0.02)
-        foot_origin = path.calc_position(abreast)
-        for name in _FOOT_NAMES:
-            i = LANDMARK_INDEX[f"{side}_{name}"]
-            x, y, z = p_G[:, i].T
-            p_W[:, i] = lay(foot_origin, foot_direction, x - anchor, y, z)
-
-    # On a curve the outer foot reaches farther: go down where a leg is short.
+        p_W[:, i] = _lay(origin, direction, p_G[:, i])
     bones = {}
-    need = np.zeros(rows)
-    for side in ("left", "right"):
-        hip, knee, ankle = (
-            LANDMARK_INDEX[f"{side}_{name}"]
-            for name in ("hip", "knee", "ankle")
-        )
-        thigh, shank = (
-            np.median(
-                np.linalg.norm(
-                    gait.landmarks[:, b] - gait.landmarks[:, a], axis=-1
-                )
-            )
-            for a, b in ((hip, knee), (knee, ankle))
-        )
-        bones[side] = thigh, shank
-        flat = np.linalg.norm((p_W[:, ankle] - p_W[:, hip])[:, :2], axis=-1)
-        reach = _LONGEST_REACH * (thigh + shank)
-        highest = p_W[:, ankle, 2] + np.sqrt(
-            np.maximum(reach**2 - flat**2, 0.0)
-        )
-        need = np.maximum(need, p_W[:, hip, 2] - highest)
-    drop = _calc_smooth_drop(need, round(0.08 / dt))
-    legs = {
-        LANDMARK_INDEX[f"{side}_{name}"]
-        for side in ("left", "right")
-        for name in _LEG_NAMES
-    }
-    body = [i for i in range(len(LANDMARKS)) if i not in legs]
-    p_W[:, body, 2] -= drop[:, None]
-    for side in ("left", "right"):
-        hip, knee, ankle, toe, heel = (
-            LANDMARK_INDEX[f"{side}_{name}"]
-            for name in ("hip", "knee", "ankle", "toe", "heel")
-        )
-        bend_G = p_G[:, knee] - 0.5 * (p_G[:, hip] + p_G[:, ankle])
-        # Nearly straight knees say little: lend them the foot's direction.
-        lent = (p_G[:, toe] - p_G[:, heel]) * [1.0, 1.0, 0.0]
-        bend_G = bend_G + 0.1 * lent
-        middle = path.calc_direction(
-            s + 0.5 * stretch * p_G[:, ankle, 0], half_step
-        )
-        bend_W = lay(np.zeros((rows, 2)), middle, *bend_G.T)
-        p_W[:, knee] = solve_knee(
-            p_W[:, hip], p_W[:, ankle], *bones[side], bend_W
-        )
+    for side in _SIGN:
+        _carry_foot(p_W, p_G, gait, route, side)
+        bones[side] = _calc_leg_lengths(gait.landmarks, side)
+    _lower_body(p_W, bones, round(0.08 / dt))
+    for side in _SIGN:
+        _carry_knee(p_W, p_G, bones[side], route, side)
     return make_motion(landmarks=p_W, dt=dt, loops=True, stature=gait.stature)
+
+
+def _carry_foot(p_W, p_G, gait, route, side):
+    """Lays a foot where its own point of the path is; changes p_W."""
+    anchor = _sample_cycle(_calc_anchor(gait, side), route.phase)
+    abreast = route.s + route.stretch * anchor
+    direction = route.path.calc_direction(abreast, 0.02)
+    origin = route.path.calc_position(abreast)
+    for i in _get_indices(side, *_FOOT_NAMES):
+        x, y, z = p_G[:, i].T
+        p_foot = np.stack([x - anchor, y, z], axis=-1)
+        p_W[:, i] = _lay(origin, direction, p_foot)
+
+
+def _calc_leg_lengths(landmarks, side):
+    """Returns the lengths of thigh and shank, m."""
+    hip, knee, ankle = _get_indices(side, "hip", "knee", "ankle")
+    return tuple(
+        np.median(np.linalg.norm(landmarks[:, b] - landmarks[:, a], axis=-1))
+        for a, b in ((hip, knee), (knee, ankle))
+    )
+
+
+def _lower_body(p_W, bones, window):
+    """Lowers all but the legs where a leg is too short; changes p_W.
+
+    On a curve the outer foot reaches farther.
+    """
+    need = np.zeros(len(p_W))
+    for side, (thigh, shank) in bones.items():
+        hip, ankle = _get_indices(side, "hip", "ankle")
+        reach = _LONGEST_REACH * (thigh + shank)
+        highest = _calc_highest_hip(p_W[:, hip], p_W[:, ankle], reach)
+        need = np.maximum(need, p_W[:, hip, 2] - highest)
+    legs = {i for side in bones for i in _get_indices(side, *_LEG_NAMES)}
+    body = [i for i in range(len(LANDMARKS)) if i not in legs]
+    p_W[:, body, 2] -= _calc_smooth_drop(need, window)[:, None]
+
+
+def _carry_knee(p_W, p_G, bones, route, side):
+    """Solves a knee so that it bends as in the gait; changes p_W."""
+    hip, knee, ankle, toe, heel = _get_indices(
+        side, "hip", "knee", "ankle", "toe", "heel"
+    )
+    bend_G = p_G[:, knee] - 0.5 * (p_G[:, hip] + p_G[:, ankle])
+    # A nearly straight knee has no clear direction: lend it the foot's.
+    lent = (p_G[:, toe] - p_G[:, heel]) * [1.0, 1.0, 0.0]
+    bend_G = bend_G + 0.1 * lent
+    middle = route.path.calc_direction(
+        route.s + 0.5 * route.stretch * p_G[:, ankle, 0], route.half_step
+    )
+    bend_W = _lay(np.zeros((len(p_W), 2)), middle, bend_G)
+    p_W[:, knee] = solve_knee(p_W[:, hip], p_W[:, ankle], *bones, bend_W)
 
 
 def make_walk(config: GeneratedWalk, dt: float) -> HumanMotion:

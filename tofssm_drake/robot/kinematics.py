@@ -1,8 +1,8 @@
 """Closed-form kinematics of the UR10: where its rings and its tool are.
 
 A MultibodyPlant answers the same questions (and the tests hold both to 1e-9
-of each other); this module answers in a microsecond, which is what a monitor
-needs that asks for each sensor's own sample time.
+of each other); this module answers in a microsecond, as needed by a monitor
+that asks for every sensor's own sample time.
 """
 
 import dataclasses as dc
@@ -236,11 +236,6 @@ class RingKinematics:
     def calc_tcp_pose(self, q: np.ndarray) -> np.ndarray:
         """Returns X_WT (3, 4), the pose of the tool centre point in world."""
         return self.calc_sites(q, np.zeros(len(q)))[0][-1]
-
-    def calc_tcp_speed(self, q: np.ndarray, qd: np.ndarray) -> float:
-        """Returns the speed of the tool centre point in world, m/s."""
-        v = self.calc_sites(q, qd)[1][-1]
-        return float(np.sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2]))
 
 
 def _find_link(plant: MultibodyPlant, body, bodies: list) -> int:

@@ -1,9 +1,9 @@
 """Where the products are: on the table, in the gripper or in the box.
 
-A pure function of what a real robot tells as well: how many products it has
+A pure function of what a real robot also reports: how many products it has
 placed (a register), whether its gripper is closed (a digital output), and its
-joints. Hence one and the same function poses the products of the simulated
-cell and those of the monitor's twin.
+joints. Hence the same function poses the products of the simulated cell and
+those of the monitor's twin.
 """
 
 import dataclasses as dc
@@ -12,7 +12,7 @@ import numpy as np
 from pydrake.systems.framework import BasicVector, Context, LeafSystem
 
 from tofssm_drake.kernels import njit
-from tofssm_drake.robot.kinematics import RingKinematics, calc_sites
+from tofssm_drake.robot.kinematics import RingKinematics
 from tofssm_drake.robot.program import (
     ProgramConfig,
     calc_pick_slots,
@@ -112,7 +112,7 @@ def write_free_body_positions(X, positions):
         positions: Written, (n, 7).
     """
     for i in range(X.shape[0]):
-        # The largest of the four squares keeps the division well behaved.
+        # Dividing by the largest of the four components is well conditioned.
         r = X[i]
         trace = r[0, 0] + r[1, 1] + r[2, 2]
         largest = 0
@@ -151,41 +151,6 @@ def write_free_body_positions(X, positions):
         positions[i, 6] = r[2, 3]
 
 
-@njit(cache=True)
-def _calc_positions(
-    X_WB,
-    X_PJ,
-    site_link,
-    X_AS,
-    q,
-    pick_slots,
-    place_slots,
-    pick_yaw,
-    place_yaw,
-    placed,
-    closed,
-):
-    sites = site_link.shape[0]
-    X_WS = np.empty((sites, 3, 4))
-    v_WS = np.empty((sites, 3))
-    calc_sites(X_WB, X_PJ, site_link, X_AS, q, np.zeros(q.shape[0]), X_WS, v_WS)
-    n = pick_slots.shape[0]
-    X_WP = np.empty((n, 3, 4))
-    calc_product_poses(
-        pick_slots,
-        place_slots,
-        pick_yaw,
-        place_yaw,
-        placed,
-        closed,
-        X_WS[-1],
-        X_WP,
-    )
-    positions = np.empty((n, 7))
-    write_free_body_positions(X_WP, positions)
-    return positions
-
-
 def calc_product_positions(
     *,
     layout: ProductLayout,
@@ -198,7 +163,7 @@ def calc_product_positions(
 
     Args:
         layout: Slots.
-        kinematics: Of the robot; tells where its tool is.
+        kinematics: Of the robot; gives the pose of its tool.
         q: Joint angles, rad, (6,).
         gripper_closed: More than 0.5 is closed.
         products_placed: How many products were let go of in the box.
@@ -206,23 +171,24 @@ def calc_product_positions(
     Returns:
         Quaternion (w, x, y, z) and position in world, m, (n, 7).
     """
-    return _calc_positions(
-        kinematics.X_WB,
-        kinematics.X_PJ,
-        kinematics.site_link,
-        kinematics.X_AS,
-        q,
+    X_WP = np.empty((len(layout), 3, 4))
+    calc_product_poses(
         layout.pick_slots,
         layout.place_slots,
         layout.pick_yaw,
         layout.place_yaw,
         round(products_placed),
         gripper_closed > 0.5,
+        kinematics.calc_tcp_pose(q),
+        X_WP,
     )
+    positions = np.empty((len(layout), 7))
+    write_free_body_positions(X_WP, positions)
+    return positions
 
 
 class ProductCarrier(LeafSystem):
-    """Tells where the products are, as positions of free bodies.
+    """Outputs where the products are, as positions of free bodies.
 
     .. pydrake_system::
 

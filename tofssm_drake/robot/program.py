@@ -4,7 +4,7 @@ The paper's robot program (section III): ten products, the base joint turns
 180 degrees between pick and place, the tool peaks at 1.7 m/s at a radius of
 0.82 m. A program is a nominal motion q(s) over path time s. A speed fraction
 rho in [0, 1] scales the rate of s and nothing else, as a robot's speed slider
-does: the path itself can not change.
+does: the path itself cannot change.
 """
 
 import bisect
@@ -101,19 +101,7 @@ class ProgramConfig:
             1 <= self.products <= 100,
             f"{where}.products: must be from 1 to 100, got {self.products}",
         )
-        # Far wider than any robot: beyond it the planning's arithmetic ends.
-        for name, unit, low, high in (
-            ("hover_radius", "m", 0.01, 10.0),
-            ("hover_height", "m", 0.01, 10.0),
-            ("sweep_speed", "m/s", 0.001, 100.0),
-            ("base_acceleration", "rad/s^2", 0.001, 1e4),
-            ("base_jerk", "rad/s^3", 0.001, 1e6),
-            ("arm_speed", "rad/s", 0.001, 100.0),
-            ("arm_acceleration", "rad/s^2", 0.001, 1e4),
-            ("arm_jerk", "rad/s^3", 0.001, 1e6),
-            ("approach_speed", "m/s", 0.001, 100.0),
-            ("approach_height", "m", 0.001, 10.0),
-        ):
+        for name, (unit, low, high) in _RANGES.items():
             value = getattr(self, name)
             require(
                 low <= value <= high,
@@ -121,15 +109,22 @@ class ProgramConfig:
                 f"got {value:g}",
             )
         require(
-            0 <= self.gripper_dwell <= 60,
-            f"{where}.gripper_dwell: must be from 0 to 60 s, "
-            f"got {self.gripper_dwell:g}",
-        )
-        require(
             0 < abs(self.sweep) <= 270,
             f"{where}.sweep: must be within 270 deg and not 0, "
             f"got {self.sweep:g}",
         )
+        self._check_joint_speeds(where)
+        for name, size in _SIZES.items():
+            require(
+                len(getattr(self, name)) == size,
+                f"{where}.{name}: must have {size} numbers",
+            )
+        for name in ("pick_columns", "place_columns"):
+            require(
+                getattr(self, name) >= 1, f"{where}.{name}: must be at least 1"
+            )
+
+    def _check_joint_speeds(self, where):
         limit = np.deg2rad(120.0)
         require(
             self.sweep_speed / self.hover_radius <= limit,
@@ -142,20 +137,30 @@ class ProgramConfig:
             f"{where}.arm_speed: at most {limit:.4f} rad/s (120 deg/s), "
             f"got {self.arm_speed:g}",
         )
-        for name, size in (
-            ("pick_center", 3),
-            ("pick_pitch", 2),
-            ("place_center", 3),
-            ("place_pitch", 2),
-        ):
-            require(
-                len(getattr(self, name)) == size,
-                f"{where}.{name}: must have {size} numbers",
-            )
-        for name in ("pick_columns", "place_columns"):
-            require(
-                getattr(self, name) >= 1, f"{where}.{name}: must be at least 1"
-            )
+
+
+_RANGES = {
+    "hover_radius": ("m", 0.01, 10.0),
+    "hover_height": ("m", 0.01, 10.0),
+    "sweep_speed": ("m/s", 0.001, 100.0),
+    "base_acceleration": ("rad/s^2", 0.001, 1e4),
+    "base_jerk": ("rad/s^3", 0.001, 1e6),
+    "arm_speed": ("rad/s", 0.001, 100.0),
+    "arm_acceleration": ("rad/s^2", 0.001, 1e4),
+    "arm_jerk": ("rad/s^3", 0.001, 1e6),
+    "approach_speed": ("m/s", 0.001, 100.0),
+    "approach_height": ("m", 0.001, 10.0),
+    "gripper_dwell": ("s", 0.0, 60.0),
+}
+"""Unit and range by setting, far wider than any robot's: planning works within
+them."""
+_SIZES = {
+    "pick_center": 3,
+    "pick_pitch": 2,
+    "place_center": 3,
+    "place_pitch": 2,
+}
+"""Numbers of each list."""
 
 
 def calc_slots(
@@ -174,7 +179,7 @@ def calc_slots(
 
 
 def calc_pick_slots(config: ProgramConfig) -> np.ndarray:
-    """Returns where the products lie before, m in world, (n, 3)."""
+    """Returns where the products lie at first, m in world, (n, 3)."""
     return calc_slots(
         center=config.pick_center,
         pitch=config.pick_pitch,
@@ -249,13 +254,13 @@ def begin_tick(state, time, period, duration, speed_fraction):
         period: Of the tick, s.
         duration: Path time at the end, s, which it does not pass.
         speed_fraction: Where the rate goes within the period, clipped to
-            [0, 1]; not a number counts as 0.
+            [0, 1]; NaN counts as 0.
 
     Returns:
         Path time at the tick, s.
     """
     s, rate, _ = advance_path_time(state, time, period)
-    # Not a number fails both comparisons and stops the robot.
+    # NaN fails both comparisons and stops the robot.
     wanted = min(speed_fraction, 1.0) if speed_fraction > 0.0 else 0.0
     state[0] = min(s, duration)
     state[1] = rate
@@ -324,7 +329,7 @@ class ProgramPath:
 
 
 class _Path:
-    """Strings jerk-limited motions together; all state is the end so far."""
+    """Strings jerk-limited motions together; its state is the end so far."""
 
     def __init__(self, q, speed, acceleration, jerk):
         self.limits = (speed, acceleration, jerk)
@@ -337,7 +342,7 @@ class _Path:
     def move(self, q, qd=None, joints=None):
         """Appends the fastest motion to q with end speed qd.
 
-        Joints that do not move stay out of it, so that they are exactly still.
+        Joints that do not move are left out, so that they stay exactly still.
         """
         n = len(self.q)
         joints = list(range(n)) if joints is None else joints
@@ -354,7 +359,7 @@ class _Path:
         try:
             result = ruckig.Ruckig(len(joints)).calculate(given, trajectory)
         except (ruckig.RuckigError, ValueError):
-            # The latter: it has no name for some of its own results.
+            # ValueError: ruckig has no name for some of its own results.
             result = None
         if result not in (ruckig.Result.Working, ruckig.Result.Finished):
             raise UserError(
@@ -429,73 +434,28 @@ def make_program_path(
     (Ruckig), so that q(s), q'(s), q''(s) are continuous.
 
     Args:
-        config: Checked by the caller or not: it is checked here.
+        config: Settings; checked.
         kinematics: Of the robot in its cell.
 
     Raises:
         UserError: If a setting is out of range or a point out of reach.
     """
     config.check("program")
-    sweep = np.deg2rad(config.sweep)
-    azimuth = np.deg2rad(config.pick_azimuth)
-    pick_yaw = np.deg2rad(config.pick_yaw)
-    base = kinematics.X_WB[:, 3]
-    radial = kinematics.X_WB[:, :3] @ [np.cos(azimuth), np.sin(azimuth), 0]
-    p_WHover = base + config.hover_radius * radial
-    p_WHover[2] = config.hover_height
-
-    hover_pick = calc_tool_down_joints(kinematics, p_WHover, pick_yaw)
-    hover_place = hover_pick.copy()
-    hover_place[0] += sweep
-
-    def solve(p_WT, yaw, near):
-        q = calc_tool_down_joints(kinematics, p_WT, yaw)
-        for i in (0, 5):
-            q[i] += 2 * np.pi * np.round((near[i] - q[i]) / (2 * np.pi))
-        return q
-
-    def plan_slot(slot, yaw, near):
-        """Returns joints at a slot and above it, and the speed there."""
-        up = np.array([0.0, 0.0, 1.0])
-        above = slot + config.approach_height * up
-        step = 1e-4
-        rate = (
-            solve(above + step * up, yaw, near)
-            - solve(above - step * up, yaw, near)
-        ) / (2 * step)
-        _require_approachable(config, rate, speed)
-        return (
-            solve(slot, yaw, near),
-            solve(above, yaw, near),
-            rate * config.approach_speed,
-        )
-
+    pick, place = _find_stations(config, kinematics)
     speed = np.full(6, config.arm_speed)
     acceleration = np.full(6, config.arm_acceleration)
     jerk = np.full(6, config.arm_jerk)
     speed[0] = config.sweep_speed / config.hover_radius
     acceleration[0] = config.base_acceleration
     jerk[0] = config.base_jerk
-    path = _Path(hover_pick, speed, acceleration, jerk)
-
-    def serve(slot, yaw, hover, events):
-        at_slot, above, rise = plan_slot(slot, yaw, hover)
-        path.move(above, -rise)
-        path.move(at_slot)
-        events.append(path.time + config.gripper_dwell / 2)
-        path.rest(config.gripper_dwell)
-        path.move(above, rise)
-        path.move(hover)
-
+    path = _Path(pick.hover, speed, acceleration, jerk)
     close_time: list[float] = []
     open_time: list[float] = []
-    pick_slots = calc_pick_slots(config)
-    place_slots = calc_place_slots(config)
     for i in range(config.products):
-        serve(pick_slots[i], pick_yaw, hover_pick, close_time)
-        path.move(hover_place, joints=[0])
-        serve(place_slots[i], pick_yaw + sweep, hover_place, open_time)
-        path.move(hover_pick, joints=[0])
+        close_time.append(_serve(path, config, kinematics, pick, i))
+        path.move(place.hover, joints=[0])
+        open_time.append(_serve(path, config, kinematics, place, i))
+        path.move(pick.hover, joints=[0])
     duration = path.time
     path.rest(np.inf)
     return ProgramPath(
@@ -505,6 +465,70 @@ def make_program_path(
         close_time=tuple(close_time),
         open_time=tuple(open_time),
     )
+
+
+@dc.dataclass(frozen=True, eq=False, kw_only=True)
+class _Station:
+    """Pick table or box, as the robot works on it."""
+
+    slots: np.ndarray
+    """Middle of each product, m in world, (n, 3)."""
+    yaw: float
+    """Direction of the tool's x axis, rad."""
+    hover: np.ndarray
+    """Joints at the hover point, rad, (6,)."""
+
+
+def _find_stations(config, kinematics):
+    """Returns pick table and box."""
+    sweep = np.deg2rad(config.sweep)
+    azimuth = np.deg2rad(config.pick_azimuth)
+    pick_yaw = np.deg2rad(config.pick_yaw)
+    base = kinematics.X_WB[:, 3]
+    radial = kinematics.X_WB[:, :3] @ [np.cos(azimuth), np.sin(azimuth), 0]
+    p_WHover = base + config.hover_radius * radial
+    p_WHover[2] = config.hover_height
+    hover_pick = calc_tool_down_joints(kinematics, p_WHover, pick_yaw)
+    hover_place = hover_pick.copy()
+    hover_place[0] += sweep
+    return (
+        _Station(slots=calc_pick_slots(config), yaw=pick_yaw, hover=hover_pick),
+        _Station(
+            slots=calc_place_slots(config),
+            yaw=pick_yaw + sweep,
+            hover=hover_place,
+        ),
+    )
+
+
+def _serve(path, config, kinematics, station, i):
+    """Appends the way from hover point to slot i and back.
+
+    Returns:
+        When the gripper closes or opens, s.
+    """
+
+    def solve(p_WT):
+        q = calc_tool_down_joints(kinematics, p_WT, station.yaw)
+        for k in (0, 5):
+            turns = (station.hover[k] - q[k]) / (2 * np.pi)
+            q[k] += 2 * np.pi * np.round(turns)
+        return q
+
+    slot = station.slots[i]
+    up = np.array([0.0, 0.0, 1.0])
+    p_above = slot + config.approach_height * up
+    step = 1e-4 * up
+    rate = (solve(p_above + step) - solve(p_above - step)) / (2 * 1e-4)
+    _require_approachable(config, rate, path.limits[0])
+    above, rise = solve(p_above), rate * config.approach_speed
+    path.move(above, -rise)
+    path.move(solve(slot))
+    event = path.time + config.gripper_dwell / 2
+    path.rest(config.gripper_dwell)
+    path.move(above, rise)
+    path.move(station.hover)
+    return event
 
 
 class PickAndPlaceProgram(LeafSystem):
@@ -524,11 +548,11 @@ class PickAndPlaceProgram(LeafSystem):
         - products_placed
         - task_done
 
-    At each tick it reads the speed fraction (clipped to [0, 1]; not a number
-    counts as 0) and lets the rate of path time go there linearly within one
-    period, so that the commanded velocity is continuous. Path time never goes
-    back and stays at the end. Between ticks the motion goes on: the outputs
-    of motion depend on time, so a controller may run faster than the tick.
+    At each tick it reads the speed fraction (clipped to [0, 1]; NaN counts as
+    0). The rate of path time goes there linearly within one period, so that
+    the commanded velocity is continuous. Path time never goes back and stays
+    at the end. Between ticks the motion goes on: the outputs of motion depend
+    on time, so a controller may run faster than the tick.
 
     `position_commanded`, `velocity_commanded`, `acceleration_commanded` (6,
     rad, rad/s, rad/s^2) are parts of `motion_commanded` (18), which costs one
@@ -587,10 +611,6 @@ class PickAndPlaceProgram(LeafSystem):
         """The nominal motion."""
         return self._path
 
-    def get_path_time(self, context: Context) -> float:
-        """Returns path time at the last tick, s."""
-        return float(context.get_discrete_state(self._progress).value()[0])
-
     def _calc_motion(self, context: Context, output: BasicVector) -> None:
         calc_motion_commanded(
             self._path.start,
@@ -615,8 +635,8 @@ class PickAndPlaceProgram(LeafSystem):
             self._path.duration,
             self._speed_fraction.Eval(context)[0],
         )
-        # Compared with what they are: the last tick of a stop has moved the
-        # robot, too, and someone may have set its path time.
+        # Compared with the present values: the last tick of a stop has moved
+        # the robot, too, and path time may have been set from outside.
         path = self._path
         for index, value in (
             (self._gripper_closed, path.calc_gripper_closed(s)),

@@ -66,12 +66,12 @@ def make_inverse_dynamics_controller(
 
     vdd = qdd_d + 2 w (qd_s - qd) + w^2 (q_d - q), tau = inverse dynamics of
     vdd, where qd_s = qd_d - h/2 qdd_d: the velocity of a plant in discrete
-    time is the one that took it here, (q(t) - q(t - h)) / h. With qd_d in its
-    place the robot would run ahead of its command.
+    time is that of the last step, (q(t) - q(t - h)) / h. With qd_d instead the
+    robot would run ahead of its command.
 
-    Drake's InverseDynamicsController does the same and integrates the error
-    besides, in continuous state; without that state a simulation of a
-    discrete plant needs no integrator at all.
+    Drake's InverseDynamicsController does the same, but also integrates the
+    error in continuous state; without that state a simulation of a discrete
+    plant needs no integrator.
 
     Args:
         plant: The robot alone, with what it carries.

@@ -25,7 +25,6 @@ from tofssm_drake.robot.products import (
     ProductLayout,
     calc_carried_pose,
     calc_product_poses,
-    calc_product_positions,
 )
 from tofssm_drake.robot.ring_looks import add_ring_looks
 
@@ -69,11 +68,11 @@ def make_cell_plant(
         products: Number of products, free bodies `product_0` and so on in
             model instances of the same name.
         scene_graph: Where to register the geometry; without it the plant has
-            none and its steps cost nothing for contact.
+            none, and steps spend no time on contact.
         time_step: Of the discrete plant, s; 0 is continuous.
         cell: Whether to load floor, pedestal, tables and box. Without them
             the base is welded to the same place.
-        meshes: Whether what is seen of the robot is Universal Robots' own
+        meshes: Whether the robot's visible geometry is Universal Robots' own
             meshes instead of primitive shapes; needs the SceneGraph and the
             optional extra `meshes`.
 
@@ -140,7 +139,7 @@ def make_twin_plant(
     products: int = 10,
     meshes: bool = False,
 ) -> MultibodyPlant:
-    """Makes the plant of everything that is part of robot and cell.
+    """Makes the plant of robot, cell and products.
 
     Its positions are [q (6), product_0 (7), product_1 (7), ...].
     """
@@ -160,9 +159,9 @@ _KIND = 12
 def calc_twin_poses(
     robot, slots, frames, q, gripper_closed, products_placed, X_WF
 ):
-    """Poses of frames that stand still, ride on the robot or are products.
+    """Poses frames that stand still, ride on the robot or are products.
 
-    What is fixed comes in few arrays, as each one costs a fraction of a
+    What is fixed comes in few arrays: each one costs a fraction of a
     microsecond on the way into compiled code.
 
     Args:
@@ -238,7 +237,7 @@ class TwinPoses:
         frames: list | None = None,
         kinematics: RingKinematics | None = None,
     ) -> "TwinPoses":
-        """Reads once what is fixed.
+        """Reads the fixed transforms once.
 
         Args:
             plant: Finalized, from `make_twin_plant`.
@@ -254,70 +253,13 @@ class TwinPoses:
         """
         kinematics = kinematics or RingKinematics.from_plant(plant)
         if frames is None:
-            frames = []
-            for frame_id in frame_ids or []:
-                body = plant.GetBodyFromFrameId(frame_id)
-                if body is None:
-                    raise UserError("twin: a frame belongs to no body of it")
-                frames.append(body.body_frame())
-        context = plant.CreateDefaultContext()
-        links = [plant.GetJointByName(UR10_JOINTS[0]).parent_body()]
-        for name in UR10_JOINTS:
-            links.append(plant.GetJointByName(name).child_body())
-        anchors = [(-1, plant.world_body())]
-        # The base stands still, as all that is welded to it.
-        anchors += list(enumerate(links))[1:]
-        anchors += [
-            (
-                len(links) + i,
-                plant.GetBodyByName(
-                    "product", plant.GetModelInstanceByName(f"product_{i}")
-                ),
-            )
-            for i in range(len(layout))
-        ]
-        anchor_of = {}
-        for kind, anchor in anchors:
-            for body in plant.GetBodiesWeldedTo(anchor):
-                anchor_of[body.index()] = (kind, anchor)
-        kinds = []
-        X_AF = []
-        for frame in frames:
-            if frame.body().index() not in anchor_of:
-                raise UserError(
-                    f"twin: body {frame.body().name()} is neither robot, "
-                    "cell nor product"
-                )
-            kind, anchor = anchor_of[frame.body().index()]
-            kinds.append(kind)
-            X_AF.append(
-                frame.CalcPose(context, anchor.body_frame()).GetAsMatrix34()
-            )
-        X_WT = np.zeros((3, 4))
-        slots = np.empty((2, len(layout), 3, 4))
-        for X_WP, placed in zip(slots, (0, len(layout)), strict=True):
-            calc_product_poses(
-                layout.pick_slots,
-                layout.place_slots,
-                layout.pick_yaw,
-                layout.place_yaw,
-                placed,
-                False,
-                X_WT,
-                X_WP,
-            )
+            frames = _find_frames(plant, frame_ids or [])
         return TwinPoses(
             robot=np.concatenate(
-                [
-                    kinematics.X_WB[None],
-                    kinematics.X_PJ,
-                    kinematics.X_AS[-1:],
-                ]
+                [kinematics.X_WB[None], kinematics.X_PJ, kinematics.X_AS[-1:]]
             ),
-            slots=slots,
-            frames=np.column_stack(
-                [np.array(X_AF).reshape(-1, 12), np.array(kinds, dtype=float)]
-            ),
+            slots=_calc_slots(layout),
+            frames=_fix_frames(plant, frames, len(layout)),
         )
 
     def calc(
@@ -349,28 +291,63 @@ class TwinPoses:
         return X_WF
 
 
-def calc_twin_positions(
-    *,
-    layout: ProductLayout,
-    kinematics: RingKinematics,
-    q: np.ndarray,
-    gripper_closed: float,
-    products_placed: float,
-) -> np.ndarray:
-    """Returns the positions of a plant from `make_twin_plant`.
+def _find_frames(plant, frame_ids):
+    """Returns the plant's frames of SceneGraph frames."""
+    frames = []
+    for frame_id in frame_ids:
+        body = plant.GetBodyFromFrameId(frame_id)
+        if body is None:
+            raise UserError("twin: a frame belongs to no body of it")
+        frames.append(body.body_frame())
+    return frames
 
-    Args:
-        layout: Slots of its products.
-        kinematics: Of its robot.
-        q: Joint angles, rad, (6,).
-        gripper_closed: More than 0.5 is closed.
-        products_placed: How many products are in the box.
-    """
-    products = calc_product_positions(
-        layout=layout,
-        kinematics=kinematics,
-        q=q,
-        gripper_closed=gripper_closed,
-        products_placed=products_placed,
-    )
-    return np.concatenate([q, products.reshape(-1)])
+
+def _calc_slots(layout):
+    """Returns `slots` as in `calc_twin_poses`."""
+    X_WT = np.zeros((3, 4))
+    slots = np.empty((2, len(layout), 3, 4))
+    for X_WP, placed in zip(slots, (0, len(layout)), strict=True):
+        calc_product_poses(
+            layout.pick_slots,
+            layout.place_slots,
+            layout.pick_yaw,
+            layout.place_yaw,
+            placed,
+            False,
+            X_WT,
+            X_WP,
+        )
+    return slots
+
+
+def _fix_frames(plant, frames, products):
+    """Returns `frames` as in `calc_twin_poses`."""
+    context = plant.CreateDefaultContext()
+    anchor_of = _find_anchors(plant, products)
+    rows = np.empty((len(frames), _KIND + 1))
+    for row, frame in zip(rows, frames, strict=True):
+        body = frame.body()
+        if body.index() not in anchor_of:
+            raise UserError(
+                f"twin: body {body.name()} is neither robot, cell nor product"
+            )
+        row[_KIND], anchor = anchor_of[body.index()]
+        X_AF = frame.CalcPose(context, anchor.body_frame())
+        row[:_KIND] = X_AF.GetAsMatrix34().ravel()
+    return rows
+
+
+def _find_anchors(plant, products):
+    """Returns kind and body that each body is welded to, by its index."""
+    links = [plant.GetJointByName(name).child_body() for name in UR10_JOINTS]
+    # The base stands still, as does everything welded to it.
+    anchors = [(-1, plant.world_body()), *enumerate(links, start=1)]
+    for i in range(products):
+        instance = plant.GetModelInstanceByName(f"product_{i}")
+        product = plant.GetBodyByName("product", instance)
+        anchors.append((len(links) + 1 + i, product))
+    return {
+        body.index(): (kind, anchor)
+        for kind, anchor in anchors
+        for body in plant.GetBodiesWeldedTo(anchor)
+    }

@@ -108,15 +108,3 @@ def make_latency_budget(
         "robot's interface": config.rtde_period,
         "start of braking": config.brake_start,
     }
-
-
-def calc_rate_bound(runs: int, *, confidence: float = 0.95) -> float:
-    """Returns how frequent an event may be that never happened in so many runs.
-
-    The exact (Clopper-Pearson) upper bound of a rate of 0 of n, one-sided.
-
-    Args:
-        runs: n, at least 1.
-        confidence: Of the bound.
-    """
-    return 1.0 - (1.0 - confidence) ** (1.0 / runs)

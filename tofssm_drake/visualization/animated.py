@@ -1,7 +1,7 @@
 """Meshcat properties that also play back in a recording.
 
-A Meshcat recording holds poses and properties only: objects can not come and
-go, so each look of a thing is an object of its own that is shown or hidden.
+A Meshcat recording holds poses and properties only: objects cannot come
+and go, so each look of a thing is an object of its own, shown or hidden.
 Between two keyframes the player interpolates, so that a value which stays
 and then jumps needs a keyframe on both sides of the jump.
 """
@@ -12,7 +12,7 @@ from pydrake.geometry import Meshcat
 class AnimatedProperty:
     """One property of one Meshcat path, written only when it changes.
 
-    What was written last is not State: it affects no output and lives as
+    The value last written is not State: it affects no output and lives as
     long as the browser's picture of it.
 
     Args:

@@ -6,7 +6,7 @@ from pydrake.math import RigidTransform
 
 from tofssm_drake.messages import RobotState
 from tofssm_drake.visualization import palette
-from tofssm_drake.visualization.state_light import make_word_mesh
+from tofssm_drake.visualization.sign import BOARD, make_sign
 
 OK, HELD, BLIND, FAULT = "OK", "HELD", "BLIND", "FAULT"
 
@@ -16,20 +16,20 @@ _COLOR = {
     BLIND: palette.STATE[RobotState.REDUCED],
     FAULT: palette.STATE[RobotState.STOP],
 }
-_HEIGHT, _STROKE, _ROW = 0.09, 0.016, 0.15
-_WIDTH = 0.98
+_ROW, _COLUMN = 0.15, 0.46
+"""Height of a row and width of each of its two columns, m."""
 
 
 class HealthBoard:
     """A board beside the state's, one row for each ring and the robot.
 
-    Each row is a name and one of OK, HELD, BLIND and FAULT. It is drawn when
-    something changes and not by the Diagram: the slider's state is known to
-    who runs the loop only.
+    Each row is a name and one of OK, HELD, BLIND and FAULT. The loop that
+    runs the Diagram draws it when something changes, because the Diagram does
+    not know the slider's state.
 
     Args:
         meshcat: Where to draw.
-        names: Of the rows, from the top; of the letters in `state_light`.
+        names: Of the rows, from the top.
         p_WB: Centre of the board in world, m; it faces +x.
         path: Where in Meshcat's tree.
     """
@@ -45,33 +45,32 @@ class HealthBoard:
         self._meshcat = meshcat
         self._path = path
         self._shown: dict[str, str] = {}
-        size = len(names) * _ROW + 0.06
-        meshcat.SetObject(
-            f"{path}/board",
-            Box(0.04, _WIDTH, size),
-            Rgba(0.20, 0.21, 0.23, 1.0),
-        )
+        height = len(names) * _ROW + 0.06
+        board = Box(0.04, 2 * _COLUMN + 0.06, height)
+        meshcat.SetObject(f"{path}/board", board, BOARD)
         meshcat.SetTransform(f"{path}/board", RigidTransform(p_WB))
         for i, name in enumerate(names):
             up = (len(names) / 2 - i - 0.5) * _ROW
-            p = np.add(p_WB, [0.022, 0, up])
-            self._draw(name, name, p, -0.44, Rgba(0.85, 0.86, 0.88, 1.0))
+            left, right = (
+                np.add(p_WB, [0.022, side * _COLUMN / 2, up])
+                for side in (-1, 1)
+            )
+            white = Rgba(0.85, 0.86, 0.88, 1.0)
+            self._draw(f"{name}/word", name.upper(), left, white)
             for status, color in _COLOR.items():
-                at = f"{name}/{status}"
-                self._draw(at, status, p, 0.07, color)
-                meshcat.SetProperty(f"{path}/{at}", "visible", False)
+                self._draw(f"{name}/{status}", status, right, color)
+                meshcat.SetProperty(f"{path}/{name}/{status}", "visible", False)
 
-    def _draw(self, name, word, p, left, color):
-        vertices, faces = make_word_mesh(
-            word.upper(), height=_HEIGHT, stroke=_STROKE
+    def _draw(self, name, word, p, color):
+        sign = make_sign(
+            word, width=_COLUMN, height=_ROW, rgba=color, align="left"
         )
-        path = f"{self._path}/{name}/word"
-        self._meshcat.SetTriangleMesh(path, vertices, faces, color)
-        shift = [0, left - vertices[1].min(), 0]
-        self._meshcat.SetTransform(path, RigidTransform(p + shift))
+        path = f"{self._path}/{name}"
+        self._meshcat.SetObject(path, sign, color)
+        self._meshcat.SetTransform(path, RigidTransform(p))
 
     def show(self, status: dict[str, str]) -> None:
-        """Shows what is new.
+        """Shows what has changed.
 
         Args:
             status: OK, HELD, BLIND or FAULT by name.
