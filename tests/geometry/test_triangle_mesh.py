@@ -351,7 +351,7 @@ class TestMesh(unittest.TestCase):
         for i in range(3):
             scene.add(mesh, RigidTransform([2.0 * i, 0, 0]))
         dut = RayCaster(scene.inspector)
-        self.assertEqual(len(dut._scene[-1]), 12)
+        self.assertEqual(len(dut._scene[-1][-1]), 12)
         distance, index = dut.cast(
             scene.query_object(),
             [[0.1, 0.2, 9], [2.1, 0.2, 9], [4.1, 0.2, 9]],

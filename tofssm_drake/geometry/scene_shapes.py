@@ -35,7 +35,7 @@ class SceneShapes:
 
     geometry_ids: list[GeometryId]
     """The geometries, in the order of the tables."""
-    tables: tuple[np.ndarray, ...]
+    tables: tuple
     """See `ray_kernels`."""
     descriptions: list[str]
     """What each of them was when it was read, see `describe_geometry`."""
@@ -115,7 +115,7 @@ def read_shapes(
     )
     return SceneShapes(
         geometry_ids=kept,
-        tables=(table, balls, *pool.merge()),
+        tables=(table, balls, pool.merge()),
         descriptions=descriptions,
         has_inside=np.array(has_inside, dtype=bool),
         skipped=skipped,
