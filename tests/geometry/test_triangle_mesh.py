@@ -683,7 +683,10 @@ class TestReadMesh(unittest.TestCase):
             (make_mesh(needs, ".gltf"), "needs the extensions KHR_draco"),
             (make_mesh("[]", ".gltf"), "memory.*not as its format demands"),
             (make_mesh(null, ".gltf"), "memory.*not as its format demands"),
-            (make_mesh(json.dumps(circle), ".gltf"), "no tree: two lead to 0"),
+            (
+                make_mesh(json.dumps(circle), ".gltf"),
+                "not a tree: two lead to 0",
+            ),
         ):
             with (
                 self.subTest(message=message),
@@ -694,7 +697,7 @@ class TestReadMesh(unittest.TestCase):
                 mut.read_mesh(shape, "horn")
 
     def test_obj_vertex_that_is_no_point(self):
-        """Drake's reader takes 0 for what is no number."""
+        """Drake's reader takes 0 for what is not a number."""
         good = ["v 0 0 1", "v\t+1. .5 -2E-1 # far", "v 1 0 0 1 1 1", "f 1 2 3"]
         for bad in (
             "v nan 0 0",
@@ -749,13 +752,17 @@ class TestReadMesh(unittest.TestCase):
             ("nodes/0/scale", [2], "scale: .* not 3 finite numbers"),
             ("nodes/0/translation", [2], "translation: .* not 3 finite"),
             ("nodes/0/matrix", [1] * 16, "matrix: .* is not affine"),
-            ("nodes/0/mesh", -1, "-1 is none of its 2 meshes"),
-            ("nodes/0/mesh", 2, "2 is none of its 2 meshes"),
-            ("nodes/0/children", [-1], "-1 is none of its 2 nodes"),
-            ("scene", -1, "-1 is none of its 1 scenes"),
-            ("accessors/0/bufferView", -2, "-2 is none of its 4 bufferViews"),
-            ("accessors/0/bufferView", 4, "4 is none of its 4 bufferViews"),
-            ("accessors/0/bufferView", True, "True is none of"),
+            ("nodes/0/mesh", -1, "-1 is not one of its 2 meshes"),
+            ("nodes/0/mesh", 2, "2 is not one of its 2 meshes"),
+            ("nodes/0/children", [-1], "-1 is not one of its 2 nodes"),
+            ("scene", -1, "-1 is not one of its 1 scenes"),
+            (
+                "accessors/0/bufferView",
+                -2,
+                "-2 is not one of its 4 bufferViews",
+            ),
+            ("accessors/0/bufferView", 4, "4 is not one of its 4 bufferViews"),
+            ("accessors/0/bufferView", True, "True is not one of"),
             ("accessors/0/byteOffset", -12, "byteOffset: -12 is not a whole"),
             ("accessors/0/byteOffset", 12, "bufferView is too short"),
             ("accessors/0/count", 4, "bufferView is too short"),
@@ -763,8 +770,8 @@ class TestReadMesh(unittest.TestCase):
             ("accessors/0/componentType", 5125, "VEC3 of 5125, not VEC3 of"),
             ("accessors/0/type", "SCALAR", "SCALAR of 5126, not VEC3"),
             ("accessors/1/componentType", 5122, "5122, not SCALAR of 5121 or"),
-            ("accessors/1/count", 2, "2 corners are no whole triangles"),
-            ("bufferViews/0/buffer", -1, "-1 is none of its 1 buffers"),
+            ("accessors/1/count", 2, "2 corners do not make whole triangles"),
+            ("bufferViews/0/buffer", -1, "-1 is not one of its 1 buffers"),
             ("bufferViews/0/byteOffset", -1, "byteOffset: -1 is not a whole"),
             ("bufferViews/0/byteLength", 35, "bufferView is too short"),
             ("bufferViews/0/byteLength", None, "byteLength: None"),
@@ -772,8 +779,12 @@ class TestReadMesh(unittest.TestCase):
             ("bufferViews/0/byteStride", 4, "byteStride: 4 is less than 12 B"),
             ("buffers/0/byteLength", size + 1, f"short: {size} of {size + 1}"),
             ("buffers/0/byteLength", 40, "too short for its bufferView"),
-            ("meshes/0/primitives/0/attributes/POSITION", -2, "-2 is none of"),
-            ("meshes/0/primitives/0/indices", -1, "-1 is none of its 4 acc"),
+            (
+                "meshes/0/primitives/0/attributes/POSITION",
+                -2,
+                "-2 is not one of",
+            ),
+            ("meshes/0/primitives/0/indices", -1, "-1 is not one of its 4 acc"),
             ("meshes/0/primitives/0/mode", 7, "unknown mode 7"),
         ):
             gltf = json.loads(text)
@@ -793,11 +804,11 @@ class TestReadMesh(unittest.TestCase):
     def test_gltf_indices_stay_in_their_primitive(self):
         triangle = np.eye(3)
         for indices, mode, message in (
-            ([0, 1, 3], 4, "index 3 is none of a primitive's 3 vertices"),
-            ([0, 1, 2, 5], 5, "index 5 is none"),
-            ([0, 1, 2, 0], 4, "4 corners are no whole triangles"),
-            ([0, 1], 5, "2 corners are no triangle"),
-            ([0, 1], 6, "2 corners are no triangle"),
+            ([0, 1, 3], 4, "index 3 is not one of a primitive's 3 vertices"),
+            ([0, 1, 2, 5], 5, "index 5 is not one"),
+            ([0, 1, 2, 0], 4, "4 corners do not make whole triangles"),
+            ([0, 1], 5, "2 corners do not make a triangle"),
+            ([0, 1], 6, "2 corners do not make a triangle"),
         ):
             text, _ = make_gltf(
                 [(triangle, indices, mode), (triangle + 5, [0, 1, 2], 4)],

@@ -57,9 +57,9 @@ def _gap2(a, b, s, t, c, d):
 def _closest_on_segments(a, b, c, d):
     """Returns (s, t, squared distance) of the closest points of ab and cd.
 
-    Either the closest points are inside both segments, where the connection
-    is square to both, or one of them is an end point. All candidates are
-    tried, so parallel and degenerate segments need no threshold.
+    Either the closest points are inside both segments, where the line
+    between them is normal to both, or one of them is an end point. All
+    candidates are tried, so parallel and degenerate segments need no threshold.
     """
     best_s = 0.0
     best_t = _project_on_segment(a[0], a[1], a[2], c, d)
@@ -173,9 +173,9 @@ def _find_closest_pair(a, b, bound, i, j):
 
 @njit(cache=True, error_model="numpy")
 def _find_square(ux, uy, uz, vx, vy, vz):
-    """Returns (x, y, z, length) of a vector square to two others, length > 0.
+    """Returns (x, y, z, length) of a vector normal to two others, length > 0.
 
-    If they are parallel, or one is zero, square to the longer one.
+    If they are parallel, or one is zero, normal to the longer one.
     """
     x, y, z = _cross(ux, uy, uz, vx, vy, vz)
     length = np.sqrt(x * x + y * y + z * z)
@@ -211,7 +211,7 @@ def closest_capsules(a_p, a_q, a_r, b_p, b_q, b_r):
         surfaces, each of shape (3,). If a set is empty: inf, -1, -1, NaN.
         If a number is NaN, so is the distance. Where two axes cross there is
         no direction from one to the other: the witness points are then taken
-        square to both axes.
+        normal to both axes.
     """
     a, b = _Capsules(a_p, a_q, a_r), _Capsules(b_p, b_q, b_r)
     p_A, p_B = np.full(3, np.nan), np.full(3, np.nan)
@@ -258,7 +258,7 @@ def point_to_capsules(points, b_p, b_q, b_r):
 
     Returns:
         Distance to the nearest surface, negative inside, shape (m,); inf if
-        there is no capsule; NaN if a number is.
+        there is no capsule; NaN if any number is.
     """
     result = np.full(points.shape[0], np.inf)
     for i in range(points.shape[0]):

@@ -1,8 +1,8 @@
 """Compiled kernels of the ray caster: bundles or single rays against a scene.
 
-The scene is handed over as the poses of its f frames, X_WF (f, 3, 4), and a
+The scene is passed as the poses of its f frames, X_WF (f, 3, 4), and a
 tuple of a few tables, since each array costs a fraction of a microsecond on
-the way into compiled code; whole numbers are therefore kept as floats, too:
+the way into compiled code; integers are therefore stored as floats, too:
 
   shapes     (n, 25)  one row for each shape, see the columns below
   balls      (., 7)   bounding balls of shapes and of groups of them, see below
@@ -11,9 +11,9 @@ the way into compiled code; whole numbers are therefore kept as floats, too:
     nodes      (., 8)   of all meshes, see TriangleTree
     triangles  (., 9)   of all meshes, see TriangleTree
 
-What a bundle or ray can not see is ruled out in three steps: by the balls,
-by the box that each shape is in, and, for what is farther than what has been
-hit already, by the least distance at which that box can be met.
+What a bundle or ray cannot see is ruled out in three steps: by the balls, by
+the box around each shape, and, beyond the nearest hit so far, by the least
+distance at which that box can be met.
 """
 
 from typing import NamedTuple
@@ -51,7 +51,7 @@ from tofssm_drake.kernels import njit
 CONVEX = 6
 """Kinds above those of shape_kernels. Data: first plane, number of planes."""
 MESH = 7
-"""Data: root node of all, and of what bounds a volume, -1: nothing does."""
+"""Data: root node of all triangles, and of those that bound a volume, or -1."""
 
 POSE = 0
 """Columns of shapes: X_FG row by row (12)."""
@@ -101,7 +101,7 @@ OK = 0
 BAD_POSE = 1
 BAD_RAY = 2
 
-# How far a rotation may be from one.
+# How far a rotation may be from orthonormal, or a direction from unit length.
 _TOLERANCE = 1e-6
 # Rounding must not drop a shape that is only touched.
 _MARGIN = 1e-9
@@ -212,10 +212,10 @@ def _pose_ball(X_WF, balls, b):
 
 @njit(cache=True, error_model="numpy")
 def are_poses(X_WF):
-    """Returns whether poses are in reach and their rotations rotations."""
+    """Returns whether all poses are within FAR and their rotations valid."""
     good = True
     for i in range(X_WF.shape[0]):
-        # NaN is not less.
+        # NaN fails each comparison.
         good &= (
             abs(X_WF[i, 0, 3]) + abs(X_WF[i, 1, 3]) + abs(X_WF[i, 2, 3]) < FAR
         )
@@ -228,7 +228,7 @@ def are_poses(X_WF):
         good &= abs(xx * yx + xy * yy + xz * yz) <= _TOLERANCE
         good &= abs(yx * zx + yy * zy + yz * zz) <= _TOLERANCE
         good &= abs(zx * xx + zy * xy + zz * xz) <= _TOLERANCE
-        # Not a mirror.
+        # Not a reflection.
         good &= (
             xx * (yy * zz - yz * zy)
             + xy * (yz * zx - yx * zz)
@@ -254,7 +254,7 @@ def _pose_balls(X_WF, balls):
 
 @njit(cache=True, error_model="numpy")
 def _make_mask(n):
-    """Returns n flags, and the same eight by eight."""
+    """Returns n flags, and a view of them in words of eight."""
     flags = np.zeros(8 * ((n + 7) // 8), dtype=np.uint8)
     return flags, flags.view(np.uint64)
 
@@ -282,7 +282,7 @@ def _make_cone(X_WS, cones, reach):
 def _may_see_ball(cone, x, y, z, radius):
     """Returns whether a cone of rays may meet a ball, centre in the world.
 
-    Without a branch or square root, as nearly all balls are clear.
+    Without a branch or square root, as nearly all balls are out of view.
     """
     x, y, z = x - cone.ox, y - cone.oy, z - cone.oz
     gap2 = x * x + y * y + z * z
@@ -306,14 +306,14 @@ def _clip_cone(p, a, cos, sin, low, high, enter, leave):
     """Clips distances [enter, leave] along all rays of a cone to a slab.
 
     Args:
-        p: Where the rays start, square to the slab.
+        p: Where the rays start, along the slab's normal.
         a: The same component of the cone's axis.
         cos: Cosine of half the opening angle; 0 or less: any direction.
         sin: Its sine.
         low: Where the slab begins.
         high: Where it ends.
-        enter: At this distance no ray is in the slabs before.
-        leave: Beyond this one none is any more.
+        enter: No ray is in the previous slabs before this distance.
+        leave: Nor beyond this one.
     """
     steepest, flattest = 1.0, -1.0
     if cos > 0.0:
@@ -337,7 +337,7 @@ def _clip_cone(p, a, cos, sin, low, high, enter, leave):
 
 @njit(cache=True, error_model="numpy", forceinline=True)
 def _enter_shape_box(shapes, s, near, q, cones, g, reach):
-    """Returns at which distance a cone's rays may meet a shape, inf: none.
+    """Returns the least distance at which a cone may meet a shape, inf: none.
 
     Args:
         shapes: See the module.
@@ -589,7 +589,7 @@ def _cast_near(scene, near, count, fan, cones, reach, rays):
     best[:] = np.nextafter(reach, np.inf)
     hit[:] = -1
     for g in range(1, 1 + groups):
-        # Unsigned: a negative index would count from the end.
+        # Unsigned: Numba need not check for indices from the end.
         first, last = np.uint64(cones[g, 5]), np.uint64(cones[g, 6])
         for o in range(count):
             q = near.order[o]
@@ -630,7 +630,7 @@ def _cast_near(scene, near, count, fan, cones, reach, rays):
 def _cast_group(shapes, s, p, d, first, last, t):
     """Casts a group of rays at a primitive shape.
 
-    A loop for each kind: a compiler takes several rays at a time.
+    One loop for each kind, so that the compiler can vectorize it.
 
     Args:
         shapes: See the module.
@@ -709,7 +709,7 @@ def _pose_in_shape(X_WG, p_WR, p_GR):
 def _may_hit_ball(ray, x, y, z, radius, reach):
     """Returns whether a ray may hit a ball, centre in the world.
 
-    Without a branch, as nearly all balls are clear.
+    Without a branch, as nearly all balls are missed.
     """
     x, y, z = x - ray.ox, y - ray.oy, z - ray.oz
     gap2 = x * x + y * y + z * z
@@ -741,10 +741,10 @@ def _rotate(X_WG, s, axis, ray):
 
 @njit(cache=True, error_model="numpy")
 def _leave_shape(shapes, planes, s, p, dx, dy, dz, far):
-    """Returns where a ray that starts inside of shape s gets out.
+    """Returns where a ray that starts inside shape s leaves it.
 
-    0 if it starts on the surface, give or take rounding. Not for meshes,
-    whose triangles are seen from both sides.
+    0 if it starts on the surface, within rounding. Not for meshes, whose
+    triangles are seen from both sides.
     """
     kind = int(shapes[s, KIND])
     a, b, c = shapes[s, SIZE], shapes[s, SIZE + 1], shapes[s, SIZE + 2]
@@ -810,8 +810,8 @@ def cast_rays(X_WF, scene, active, row, p_WR, n_WR, max_range, hollow):
     Returns:
         (status, distance (rays,), index (rays,)).
     """
-    # Whole, as a helper inside of the loops would count each array's references
-    # up and down at each call, which takes longer than what it does.
+    # In one piece: a helper that takes arrays within these loops doubles the
+    # time, as Numba counts the references of each array at each call.
     shapes, balls, (planes, nodes, triangles) = scene
     rays, n = p_WR.shape[0], shapes.shape[0]
     distance = np.full(rays, np.inf)
@@ -903,11 +903,11 @@ def cast_rays(X_WF, scene, active, row, p_WR, n_WR, max_range, hollow):
 
 @njit(cache=True, error_model="numpy", forceinline=True)
 def _make_ray(p_WR, n_WR, i):
-    """Returns (is_good, ray): whether ray i is one, and it, made a unit."""
+    """Returns (is_good, ray): whether ray i is valid, and it, normalized."""
     ox, oy, oz = p_WR[i, 0], p_WR[i, 1], p_WR[i, 2]
     ex, ey, ez = n_WR[i, 0], n_WR[i, 1], n_WR[i, 2]
     length = np.sqrt(ex * ex + ey * ey + ez * ez)
-    # NaN is not less.
+    # NaN fails each comparison.
     is_good = (abs(length - 1.0) <= _TOLERANCE) & (
         abs(ox) + abs(oy) + abs(oz) < FAR
     )
@@ -928,7 +928,7 @@ def _read_shape(shapes, s):
 
 @njit(cache=True, error_model="numpy", forceinline=True)
 def _cast_primitive(kind, size, px, py, pz, dx, dy, dz, may_be_inside):
-    """Returns the distance of a primitive shape along a ray, see _turn_ray."""
+    """Returns the distance to a primitive shape along a ray, see _turn_ray."""
     a, b, c = size
     if may_be_inside and is_in_primitive(kind, px, py, pz, a, b, c):
         return 0.0

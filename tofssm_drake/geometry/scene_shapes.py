@@ -38,7 +38,7 @@ class SceneShapes:
     tables: tuple
     """See `ray_kernels`."""
     descriptions: list[str]
-    """What each of them was when it was read, see `describe_geometry`."""
+    """Each one's description when it was read, see `describe_geometry`."""
     has_inside: np.ndarray
     """Whether a ray can start inside of it, bool, shape (n,)."""
     skipped: dict[GeometryId, str]
@@ -123,7 +123,7 @@ def read_shapes(
 
 
 def describe_geometry(inspector: SceneGraphInspector, geometry_id: GeometryId):
-    """Returns a geometry's shape and a text that tells it from others.
+    """Returns a geometry's shape and a text that identifies shape and pose.
 
     Raises:
         UserError: If it is deformable.

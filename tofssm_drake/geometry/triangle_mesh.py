@@ -1,7 +1,7 @@
 """Triangles of Drake's Mesh shapes.
 
-Drake's distance queries replace many a mesh by its convex hull. What is seen
-along a ray is the surface itself, so it is read here: STL and COLLADA by
+Drake's distance queries replace most meshes by their convex hulls. A ray sees
+the surface itself, so it is read here: STL and COLLADA by
 trimesh, tetrahedral VTK by Drake, OBJ and glTF by readers that are stricter
 than either (see `obj_file`, `gltf_file`).
 """
@@ -76,7 +76,7 @@ def make_triangle_mesh(vertices: np.ndarray, faces: np.ndarray):
 
 
 def describe_mesh_source(mesh) -> str:
-    """Returns a text that differs when another file or scale is used."""
+    """Returns a text that identifies the file and the scale."""
     source: MeshSource = mesh.source()
     if source.is_path():
         what = str(source.path())
@@ -87,7 +87,7 @@ def describe_mesh_source(mesh) -> str:
             try:
                 digest.update(_read_supporting_file(file))
             except OSError:
-                # Who needs the file tells which mesh lacks it.
+                # The reader that needs the file names it.
                 digest.update(b"missing")
         what = digest.hexdigest()
     scale = np.asarray(mesh.scale3(), dtype=float)
@@ -257,7 +257,7 @@ def _read_with_trimesh(mesh: Mesh, file_type: str, *, unit: float):
         )
         surface = scene.to_mesh()
     except Exception as error:
-        # Any may come of a broken file.
+        # A broken file may raise anything.
         raise ValueError(f"it is not as its format demands: {error}") from error
     return surface.vertices * (unit * mesh.scale3()), surface.faces
 
