@@ -203,7 +203,7 @@ class TestBundles(unittest.TestCase):
                 "X_FS: a masked array",
             ),
             (dict(fan_S=[np.ma.masked_array([1.0, 0, 0])]), "fan_S: a masked"),
-            (dict(max_range="far"), "max_range: .* no real number"),
+            (dict(max_range="far"), "max_range: .* not real numbers"),
             (dict(frame_id=FrameId.get_new_id()), "frame_id: .* had no <Fra"),
         ):
             with (
