@@ -1,7 +1,7 @@
-"""A simulated robot's controller that notes when it steps and is answered.
+"""A simulated robot controller that logs when it steps and is answered.
 
 Run as a program: it prints its port, serves until it is told to stop, and
-then writes what it noted as JSON to the file it was given.
+then writes its log as JSON to the given file.
 """
 
 import argparse
@@ -24,7 +24,7 @@ _PRIORITY = 20
 
 
 class ClockedUr(SimulatedUr):
-    """Notes the monotonic clock at the end of each cycle, when its package
+    """Logs the monotonic clock at the end of each cycle, when its package
     is sent, and when each heartbeat arrives."""
 
     def __init__(self, **options):

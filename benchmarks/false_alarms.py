@@ -23,8 +23,8 @@ def count_alarms(seed: int) -> tuple[float, list[str], float, float, float]:
     """Runs the default scenario once.
 
     Returns:
-        How long it took, simulated s; what was said; the highest sums of a
-        sensor and of a misfit, and the longest way of a riding hit, m.
+        The simulated time, s; the alarms; the highest sums of a sensor and of a
+        misfit, and the longest travel of a riding hit, m.
     """
     scenario = load_scenario(text=f"random_seed: {seed}")
     workcell = make_workcell(scenario)
@@ -51,7 +51,7 @@ def count_alarms(seed: int) -> tuple[float, list[str], float, float, float]:
 
 
 def main() -> int:
-    """Runs seeds until the hours are full; returns 1 if there was an alarm."""
+    """Runs seeds for the given hours; returns 1 if there was an alarm."""
     hours, alarms = 0.0, 0
     seeds = itertools.count()
     # Forked processes and compiled kernels do not go together.

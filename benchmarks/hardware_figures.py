@@ -1,4 +1,4 @@
-"""What a run on hardware took, from its record and from the robot's notes."""
+"""What a run on hardware took, from its record and the robot's log."""
 
 import dataclasses as dc
 from pathlib import Path
@@ -10,7 +10,7 @@ from tofssm_drake.hardware.ring_receiver import RingDecoder, RingLinkConfig
 from tofssm_drake.hardware.ring_systems import is_ahead
 from tofssm_drake.hardware.run_record import RecordedTick, RunReader
 
-# The first ticks, while all that starts is still starting, s.
+# The first ticks, while everything is still starting up, s.
 _START = 1.0
 # As RingSubscriberSystem has it, s.
 _MAX_AHEAD = 0.004
@@ -31,18 +31,18 @@ class Figures:
     to_robot: np.ndarray
     """The part of it after the write."""
     frame: np.ndarray
-    """From a frame's arrival to the first command that was computed of it."""
+    """From a frame's arrival to the first command computed from it."""
     change: np.ndarray
     """The same where the command began to fall in that tick."""
     missed: int
-    """Packages that never came, by the robot's clock."""
+    """Packages that never arrived, by the robot's clock."""
     left_out: int
-    """Those of them that the robot did not send, as it was late itself."""
+    """Those of them that the robot did not send because it was late itself."""
     unanswered: int
-    """Packages that were not answered since a newer one was there."""
+    """Packages that were not answered because a newer one had arrived."""
     ticks: int
     busy: float
-    """Part of one core's time that the whole program took."""
+    """Fraction of one core's time that the whole program took."""
 
 
 def read_figures(path: Path, notes: dict | None = None) -> Figures:
@@ -95,9 +95,9 @@ def _find_trips(ticks: list[RecordedTick], notes):
 
 
 def _count_left_out(ticks, notes, period):
-    """Returns how many cycles were over at once with the one after them.
+    """Returns how many cycles ended together with the next one.
 
-    A robot that is late catches up like this, and sends the last one only.
+    That is how a late robot catches up; it sends only the last one.
     """
     if notes is None:
         return 0
@@ -107,9 +107,9 @@ def _count_left_out(ticks, notes, period):
 
 
 def _find_frames(path, run, ticks):
-    """Returns how long frames took to show in a command, and to change one.
+    """Returns how long frames took to reach a command, and to change one.
 
-    The frames are decoded once more, which gives the scans of then.
+    The frames are decoded again, which reproduces the scans.
     """
     arrivals = _decode_frames(path, run)
     frame, change = [], []
@@ -123,7 +123,7 @@ def _find_frames(path, run, ticks):
                 continue
             taken.add(key)
             newest = max(newest, arrivals[key])
-            # Those before the first tick were not seen by it at once.
+            # The first tick did not see earlier ones at once.
             if arrivals[key] > ticks[0].sent:
                 frame.append(tick.sent - arrivals[key])
         fraction = tick.state["speed_fraction"]

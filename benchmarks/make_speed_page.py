@@ -49,7 +49,7 @@ _GROWTHS = (
         " known of a pose before the query: each one is checked and applied"
         " once for all sensors (a fifth of the time for 2000 shapes), and the"
         " shape's bounding sphere is tested against each sensor's cone (about"
-        " one nanosecond). To sort the spheres anew at each query, so that"
+        " one nanosecond). To sort the spheres again at each query, so that"
         " fewer need a test, would itself grow as their number does.",
         measure_shapes,
     ),
@@ -70,30 +70,7 @@ def main():
             f"not installed: {', '.join(missing)}; pip install"
             " 'tofssm-drake[peers]'"
         )
-    comparisons, held = [], []
-    for meshes in (False, True):
-        for sensors in (8, 16):
-            scene = Scene(sensors=sensors, meshes=meshes)
-            rows = compare(scene, meshes=meshes, rounds=_ROUNDS)
-            rays = 3 * sensors * len(scene.bundles.fan_S)
-            comparisons.append(
-                {
-                    "title": f"{rays} rays, {_describe(scene, meshes)}",
-                    "table": format_table(rows),
-                }
-            )
-            for caster, libraries in HOLD[meshes].items():
-                ratios = find_ratios(rows, caster)
-                for library, wanted in libraries.items():
-                    held.append(
-                        {
-                            "what": f"{caster} against {library},"
-                            f" {rays} rays, {'meshes' if meshes else 'shapes'}",
-                            "wanted": f"{wanted:g} x",
-                            "measured": f"{ratios[library]:.1f} x"
-                            + ", not reached" * (ratios[library] < wanted),
-                        }
-                    )
+    comparisons, held = _compare_all()
     growths = [(title, text, measure()) for title, text, measure in _GROWTHS]
     template = jinja2.Template(
         (_HERE / "ray_caster_speed.md.jinja").read_text(),
@@ -120,6 +97,35 @@ def main():
     )
     _write(_DOCS / "images" / "ray_caster_growth.svg", _plot(growths))
     _write(_DOCS / "ray_caster_speed.md", page)
+
+
+def _compare_all() -> tuple[list[dict], list[dict]]:
+    """Returns a table for each scene, and which ratios hold."""
+    comparisons, held = [], []
+    for meshes in (False, True):
+        for sensors in (8, 16):
+            scene = Scene(sensors=sensors, meshes=meshes)
+            rows = compare(scene, meshes=meshes, rounds=_ROUNDS)
+            rays = 3 * sensors * len(scene.bundles.fan_S)
+            comparisons.append(
+                {
+                    "title": f"{rays} rays, {_describe(scene, meshes)}",
+                    "table": format_table(rows),
+                }
+            )
+            for caster, libraries in HOLD[meshes].items():
+                ratios = find_ratios(rows, caster)
+                for library, wanted in libraries.items():
+                    held.append(
+                        {
+                            "what": f"{caster} against {library},"
+                            f" {rays} rays, {'meshes' if meshes else 'shapes'}",
+                            "wanted": f"{wanted:g} x",
+                            "measured": f"{ratios[library]:.1f} x"
+                            + ", not reached" * (ratios[library] < wanted),
+                        }
+                    )
+    return comparisons, held
 
 
 def _describe(scene, meshes) -> str:
@@ -189,7 +195,7 @@ def _plot(growths) -> str:
 
 
 def _write(path: Path, text: str):
-    """Writes a file that appears whole."""
+    """Writes a file atomically."""
     part = path.with_suffix(".part")
     part.write_text(text)
     part.replace(path)

@@ -29,7 +29,7 @@ class FastPath:
         self._scene = scene
 
     def prepare(self, i: int):
-        """Nothing depends on the state before."""
+        """Does nothing: no state depends on the previous one."""
 
     def update(self, i: int):
         """Poses the frames in state i."""

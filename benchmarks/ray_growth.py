@@ -119,7 +119,7 @@ def measure_triangles() -> list[Curve]:
 def _measure(calls: dict[str, tuple[list[int], list[tuple]]]) -> list[Curve]:
     """Returns the curves; all sizes take turns, the least time counts.
 
-    What disturbs a measurement only adds to it.
+    Disturbances only add to a measurement.
     """
     repeats = {}
     for name, (_, functions) in calls.items():
@@ -153,7 +153,7 @@ def _time(function: Callable, args, count: int) -> float:
 def _make_clutter(n: int, *, frames: int):
     """Returns (caster, X_WF) of n shapes strewn over a room.
 
-    They are on so many moving frames in turn, within half a metre from its
+    They are on that many moving frames in turn, within half a metre from its
     origin; 0: fixed in the world.
     """
     rng = np.random.default_rng(0)
@@ -210,7 +210,7 @@ def _make_bundles(caster, sensors: int, rays: int):
 
 
 def make_bumpy_ball(triangles: int) -> tuple[Mesh, int]:
-    """Returns a closed mesh of about so many triangles, and how many."""
+    """Returns a closed mesh of about that many triangles, and their number."""
     around = max(8, round(np.sqrt(triangles)))
     along = max(4, round(triangles / around / 2))
     polar = np.pi * np.arange(along + 1) / along

@@ -1,4 +1,4 @@
-"""The same scene in other ray casters, each used as well as it allows.
+"""The same scene in other ray casters, each used in its fastest way.
 
 What they could prepare beforehand is prepared: poses in their own format,
 which bodies have moved since the last state, and the rays in the world where
@@ -101,10 +101,10 @@ class MujocoScene:
             geom.meshname = name
 
     def _add_sensors(self, spec, bodies, scene):
-        """Rays are handed over at each call."""
+        """Does nothing: rays are passed at each call."""
 
     def prepare(self, i: int):
-        """Nothing depends on the state before."""
+        """Does nothing: no state depends on the previous one."""
 
     def update(self, i: int):
         """Moves the scene into state i."""
@@ -186,7 +186,7 @@ class MujocoRangefinders(MujocoScene):
                 sensor.intprm = what
 
     def cast(self, i: int):
-        """Casts the rays, which follow their bodies."""
+        """Casts the rays, which are fixed to their bodies."""
         self._mujoco.mj_sensorPos(self._model, self._data)
         return self._data.sensordata.reshape(self._shape)
 
@@ -296,12 +296,12 @@ class PybulletCaster:
         )
 
     def prepare(self, i: int):
-        """Moves the scene into the state before i."""
+        """Moves the scene into the state preceding i."""
         for body, pose in zip(self._bodies, self._poses[i - 1], strict=True):
             self._move(body, *pose)
 
     def update(self, i: int):
-        """Moves what has moved since the state before."""
+        """Moves what has moved since the previous state."""
         for body, p, q in self._moved[i]:
             self._move(body, p, q)
 
@@ -324,7 +324,7 @@ _KINDS = Sphere, Capsule, Box, HalfSpace
 class NumpyCaster:
     """Closed forms in NumPy, for all pairs of bundle and shape at once.
 
-    What is clear of a bundle's cone is left out. No meshes.
+    What is outside a bundle's cone is skipped. No meshes.
     """
 
     name = "NumPy"
@@ -361,7 +361,7 @@ class NumpyCaster:
         return [getattr(shape, "radius", float)(), 0.0, 0.0]
 
     def prepare(self, i: int):
-        """Nothing depends on the state before."""
+        """Does nothing: no state depends on the previous one."""
 
     def update(self, i: int):
         """Poses shapes and bundles in state i."""

@@ -45,7 +45,7 @@ NUM_STATES = 256
 
 @dc.dataclass(frozen=True, eq=False, kw_only=True)
 class State:
-    """What robot and avatar tell at one time."""
+    """What robot and avatar report at one time."""
 
     q: np.ndarray
     gripper_closed: float
@@ -67,32 +67,8 @@ class Scene:
 
     def __init__(self, *, sensors: int, meshes: bool):
         scenario = load_scenario(name="Default")
-        builder = DiagramBuilder()
-        self.scene_graph = builder.AddSystem(SceneGraph())
-        self.plant = builder.AddSystem(
-            make_twin_plant(
-                scene_graph=self.scene_graph,
-                sensors_per_ring=sensors,
-                meshes=meshes,
-            )
-        )
-        builder.Connect(
-            self.plant.get_geometry_pose_output_port(),
-            self.scene_graph.get_source_pose_port(self.plant.get_source_id()),
-        )
         motion = make_walk(scenario.human, scenario.control_period)
-        # It registers the person; its poses are set from outside.
-        avatar = HumanAvatar(scene_graph=self.scene_graph, motion=motion)
-        if meshes:
-            _turn_into_meshes(self.scene_graph, avatar)
-        diagram = builder.Build()
-        context = diagram.CreateDefaultContext()
-        self.plant_context = self.plant.GetMyMutableContextFromRoot(context)
-        self.scene_context = self.scene_graph.GetMyMutableContextFromRoot(
-            context
-        )
-        self._diagram, self._context = diagram, context
-
+        avatar = self._make_world(motion, sensors=sensors, meshes=meshes)
         inspector = self.scene_graph.model_inspector()
         self.caster = RayCaster(inspector)
         self.mounts = [
@@ -111,23 +87,18 @@ class Scene:
             self.plant, layout=layout, frame_ids=others
         )
         path = make_program_path(scenario.program, kinematics)
+        # Scans that follow one another, from the middle of the task.
+        times = (
+            0.3 * path.duration + np.arange(NUM_STATES) * scenario.rings.period
+        )
         self.states = []
-        for i in range(NUM_STATES):
-            # A scan every so often, over the middle of the whole task.
-            time = 0.3 * path.duration + i * scenario.rings.period
-            ends = capsule_ends(motion, time)
+        for time in times:
             reported = {
                 "q": path.calc_motion(time)[0],
                 "gripper_closed": float(path.calc_gripper_closed(time)),
                 "products_placed": path.calc_products_placed(time),
             }
-            poses = np.empty((len(ends), 3, 4))
-            calc_capsule_poses(ends, poses)
-            person_poses = FramePoseVector()
-            for frame_id, pose in zip(avatar.frame_ids, poses, strict=True):
-                person_poses.set_value(
-                    frame_id, RigidTransform.MakeUnchecked(pose)
-                )
+            ends = capsule_ends(motion, time)
             products = calc_product_positions(
                 layout=layout, kinematics=kinematics, **reported
             )
@@ -135,7 +106,7 @@ class Scene:
                 State(
                     ends=ends,
                     positions=np.append(reported["q"], products),
-                    person_poses=person_poses,
+                    person_poses=_make_person_poses(avatar, ends),
                     **reported,
                 )
             )
@@ -145,6 +116,34 @@ class Scene:
         self._query_port = self.scene_graph.get_query_output_port()
         self.X_WF = np.array([self.calc_poses(i) for i in range(NUM_STATES)])
         self.rays = [self.caster.calc_rays(self.bundles, X) for X in self.X_WF]
+
+    def _make_world(self, motion, *, sensors: int, meshes: bool) -> HumanAvatar:
+        """Makes plant, SceneGraph and their Contexts; returns the person."""
+        builder = DiagramBuilder()
+        self.scene_graph = builder.AddSystem(SceneGraph())
+        self.plant = builder.AddSystem(
+            make_twin_plant(
+                scene_graph=self.scene_graph,
+                sensors_per_ring=sensors,
+                meshes=meshes,
+            )
+        )
+        builder.Connect(
+            self.plant.get_geometry_pose_output_port(),
+            self.scene_graph.get_source_pose_port(self.plant.get_source_id()),
+        )
+        # It registers the person; its poses are set from outside.
+        avatar = HumanAvatar(scene_graph=self.scene_graph, motion=motion)
+        if meshes:
+            _turn_into_meshes(self.scene_graph, avatar)
+        diagram = builder.Build()
+        context = diagram.CreateDefaultContext()
+        self.plant_context = self.plant.GetMyMutableContextFromRoot(context)
+        self.scene_context = self.scene_graph.GetMyMutableContextFromRoot(
+            context
+        )
+        self._diagram, self._context = diagram, context
+        return avatar
 
     def count_triangles(self) -> int:
         """Returns how many triangles all meshes have."""
@@ -178,6 +177,16 @@ class Scene:
         self.plant.SetPositions(self.plant_context, state.positions)
         self._person_port.GetMutableData().set_value(state.person_poses)
         return self._query_port.Eval(self.scene_context)
+
+
+def _make_person_poses(avatar, ends) -> FramePoseVector:
+    """Returns the poses of the person's capsules as its port takes them."""
+    poses = np.empty((len(ends), 3, 4))
+    calc_capsule_poses(ends, poses)
+    person_poses = FramePoseVector()
+    for frame_id, pose in zip(avatar.frame_ids, poses, strict=True):
+        person_poses.set_value(frame_id, RigidTransform.MakeUnchecked(pose))
+    return person_poses
 
 
 def _turn_into_meshes(scene_graph, avatar):

@@ -39,7 +39,7 @@ def measure_memory(parent):
 
 
 def test_campaign(benchmark, tmp_path):
-    """From nothing to the report, start of the processes included."""
+    """From a cold start to the report, start of the processes included."""
     memory = benchmark.pedantic(
         run_campaign, args=(tmp_path,), rounds=1, iterations=1
     )

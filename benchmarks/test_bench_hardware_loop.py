@@ -1,4 +1,4 @@
-"""The whole way on real sockets: robot, rings and `tofssm hardware`.
+"""The whole chain over real sockets: robot, rings and `tofssm hardware`.
 
 Three processes on this machine, three rings, 600 rays of the mask. Robot and
 rings, which are computers of their own in truth, leave the last processor to

@@ -75,7 +75,7 @@ def test_600_single_rays_alone(benchmark, scene):
 @pytest.mark.parametrize("meshes", [False, True], ids=["shapes", "meshes"])
 @pytest.mark.parametrize("sensors", [8, 16])
 def test_beside_other_ray_casters(benchmark, tables, sensors, meshes):
-    """Tells whether the ratios of the medians hold, all from one run."""
+    """Checks whether the ratios of the medians hold, all from one run."""
     scene = Scene(sensors=sensors, meshes=meshes)
     rows = benchmark.pedantic(
         lambda: compare(scene, meshes=meshes), rounds=1, iterations=1

@@ -53,7 +53,7 @@ def run_process(name, text=""):
         [sys.executable, "-c", _RUN, name, text],
         stdout=subprocess.PIPE,
         check=True,
-        # Libraries of linear algebra shall not start threads either.
+        # Linear algebra libraries must not start threads either.
         env=os.environ | {"OMP_NUM_THREADS": "1"},
         preexec_fn=_use_one_core,
     )
@@ -64,7 +64,7 @@ def run_process(name, text=""):
     ("name", "count"), [("Default", 5), ("NoHuman", 1), ("SixteenSensors", 1)]
 )
 def test_whole_run(benchmark, name, count):
-    """Import, build and run; the figures tell the run apart."""
+    """Import, build and run; the figures give the run separately."""
     rounds = []
     run_process(name, "{simulation_duration: 0.2}")
     benchmark.pedantic(
@@ -75,7 +75,7 @@ def test_whole_run(benchmark, name, count):
     benchmark.extra_info["real_time_factor"] = (
         best["simulated_s"] / best["run_s"]
     )
-    # The same without the time that other processes had the core.
+    # The same without the time when other processes had the core.
     benchmark.extra_info["simulated_per_cpu_time"] = (
         best["simulated_s"] / best["busy_s"]
     )
@@ -86,7 +86,7 @@ def test_whole_run(benchmark, name, count):
 
 
 def test_startup(benchmark):
-    """From nothing to the first 0.2 s."""
+    """From a cold start to the first 0.2 s."""
     rounds = []
     text = "{simulation_duration: 0.2}"
     run_process("Default", text)
@@ -100,7 +100,7 @@ def test_startup(benchmark):
 
 
 def test_report(benchmark, tmp_path):
-    """What `tofssm simulate` does for a run that is hardly one."""
+    """What `tofssm simulate` does for a very short run."""
     command = [
         *(sys.executable, "-m", "tofssm_drake.scripts.main", "simulate"),
         *("--duration", "0.2", "--no-recording", "--out", tmp_path),

@@ -452,7 +452,7 @@ class TestRaysThatAreNone(unittest.TestCase):
         self.check([np.inf, -np.inf, 0], [1.0, 0, 0], "not finite")
 
     def test_origin_that_is_too_far(self):
-        """Its square is no number any more, and it would miss."""
+        """Its square overflows, and it would miss."""
         for far in (1e100, -1e150, 1e154, 1e300):
             for i in range(3):
                 p = [0.0, 0, 0]
@@ -475,14 +475,14 @@ class TestRaysThatAreNone(unittest.TestCase):
             (([[0.0, 0]], [[1.0, 0]]), "not both"),
             ((p, n, np.nan), "max_range"),
             ((p, n, -1.0), "max_range"),
-            (([[0j, 0, 0]], n), "p_WR: complex128 are no real numbers"),
-            ((p, np.array(n) + 0j), "n_WR: complex128 are no real"),
+            (([[0j, 0, 0]], n), "p_WR: complex128 are not real numbers"),
+            ((p, np.array(n) + 0j), "n_WR: complex128 are not real"),
             ((np.ma.masked_array(p, True), n), "p_WR: a masked array"),
             ((p, np.ma.masked_array(n)), "n_WR: a masked array"),
             (([np.ma.masked_array(p[0], True)], n), "p_WR: a masked array"),
             ((p, (np.ma.masked_array(n[0]),)), "n_WR: a masked array"),
             (([[0.0, 0, np.ma.masked_array(0, True)]], n), "p_WR: a masked"),
-            (([["0", "0", "0"]], n), "p_WR: .* are no real numbers"),
+            (([["0", "0", "0"]], n), "p_WR: .* are not real numbers"),
             (([[0.0, 0], [0.0]], n), "inhomogeneous"),
         ):
             with (

@@ -155,9 +155,9 @@ class TestFramePoses(unittest.TestCase):
         np.testing.assert_array_equal(first, kept)
 
     def test_wrong_arguments(self):
-        with self.assertRaisesRegex(ValueError, "nobody poses the frame"):
+        with self.assertRaisesRegex(ValueError, "nothing poses the frame"):
             mut.FramePoses(caster=self.caster, plant=self.plant)
-        with self.assertRaisesRegex(ValueError, "nobody poses the frame"):
+        with self.assertRaisesRegex(ValueError, "nothing poses the frame"):
             mut.FramePoses(caster=self.caster, frame_ids=self.frame_ids)
         with self.assertRaisesRegex(ValueError, "twice"):
             mut.FramePoses(

@@ -136,7 +136,7 @@ class TestOrientFaces(unittest.TestCase):
 
     def test_cubes_that_share_a_face(self):
         """Each edge of it has four triangles: closed as the cubes run, but
-        if one of them is turned over there, nothing tells."""
+        if one of them is turned over there, that is ambiguous."""
         vertices, faces = join(cube(), cube([1, 0, 0]))
         self.check_all_solid(vertices, faces, 2.0)
         inside = find_inside(
@@ -209,8 +209,9 @@ class TestOrientFaces(unittest.TestCase):
             faces[:, ::-1],
         ):
             both = np.vstack([faces, more])
-            _, is_solid, _ = orient_faces(vertices, both)
+            oriented, is_solid, _ = orient_faces(vertices, both)
             self.assertTrue(is_solid[:12].all())
+            self.assertAlmostEqual(calc_volume(vertices, oriented[:12]), 1.0)
             self.check_inside(vertices, both, want, p)
         # The second one by vertices of its own, that are not quite there.
         both = join((vertices, faces), (vertices * (1 + 1e-9), faces[3:4]))

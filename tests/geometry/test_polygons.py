@@ -26,7 +26,7 @@ def calc_polygon_area(points):
 
 
 def is_in_polygon(points, p):
-    """Even-odd rule, written anew."""
+    """Even-odd rule, written independently."""
     inside = np.zeros(len(p), dtype=bool)
     for a, b in zip(points, np.roll(points, -1, axis=0), strict=True):
         crosses = (a[1] > p[:, 1]) != (b[1] > p[:, 1])

@@ -146,7 +146,7 @@ class TestRanges(unittest.TestCase):
                 ([1.0, 2.0], rf"{name}: shape \(2,\) is neither"),
                 ([1.0, -2.0, 1.0, 1.0], rf"{name}: .* is not >= 0"),
                 (np.nan, rf"{name}: nan is not >= 0"),
-                ("far", rf"{name}: .* are no real numbers"),
+                ("far", rf"{name}: .* are not real numbers"),
             ):
                 with self.assertRaisesRegex(ValueError, message):
                     dut.cast(query_object, p, n, **{name: bad})

@@ -137,6 +137,54 @@ def make_dae(vertices, faces, meter):
 <scene><instance_visual_scene url="#s"/></scene></COLLADA>"""
 
 
+VTK_POINTS = "0 0 0  1 0 0  0 1 0  0 0 1"
+
+
+def make_vtk(cell="4 1 2 3 4", point="1 1 1"):
+    """Two tetrahedra, the second one and its point as given."""
+    return (
+        "# vtk DataFile Version 3.0\nx\nASCII\n"
+        "DATASET UNSTRUCTURED_GRID\n"
+        f"POINTS 5 double\n{VTK_POINTS}  {point}\n"
+        f"CELLS 2 10\n4 0 1 2 3\n{cell}\nCELL_TYPES 2\n10\n10\n"
+    )
+
+
+def make_vtk_5(cell):
+    """The same as version 5 writes it."""
+    return (
+        "# vtk DataFile Version 5.1\nx\nASCII\n"
+        "DATASET UNSTRUCTURED_GRID\n"
+        f"POINTS 5 double\n{VTK_POINTS}  1 1 1\n"
+        "CELLS 3 8\nOFFSETS vtktypeint64\n0 4 8\n"
+        f"CONNECTIVITY vtktypeint64\n0 1 2 3 {' '.join(map(str, cell))}\n"
+        "CELL_TYPES 2\n10\n10\n"
+    )
+
+
+def make_binary_vtk(corner):
+    """One tetrahedron with a last corner as given."""
+    points = np.array(VTK_POINTS.split(), dtype=">f8").tobytes()
+    cell = np.array([4, 0, 1, 2, corner], dtype=">i4").tobytes()
+    kind = np.array([10], dtype=">i4").tobytes()
+    return (
+        b"# vtk DataFile Version 3.0\nx\nBINARY\n"
+        b"DATASET UNSTRUCTURED_GRID\nPOINTS 4 double\n" + points + b"\n"
+        b"CELLS 1 5\n" + cell + b"\nCELL_TYPES 1\n" + kind + b"\n"
+    )
+
+
+def make_stl(vertices):
+    """A cube in binary STL."""
+    records = np.zeros(
+        len(CUBE_FACES),
+        dtype=[("n", "<f4", 3), ("v", "<f4", (3, 3)), ("", "<u2")],
+    )
+    records["v"] = vertices[CUBE_FACES]
+    count = np.array(len(records), dtype="<u4").tobytes()
+    return b"\0" * 80 + count + records.tobytes()
+
+
 class TestMesh(unittest.TestCase):
     def test_cube_is_a_box(self):
         rng = np.random.default_rng(0)
@@ -351,7 +399,7 @@ class TestMesh(unittest.TestCase):
         for i in range(3):
             scene.add(mesh, RigidTransform([2.0 * i, 0, 0]))
         dut = RayCaster(scene.inspector)
-        self.assertEqual(len(dut._scene[-1]), 12)
+        self.assertEqual(len(dut._scene[-1][-1]), 12)
         distance, index = dut.cast(
             scene.query_object(),
             [[0.1, 0.2, 9], [2.1, 0.2, 9], [4.1, 0.2, 9]],
@@ -514,17 +562,69 @@ class TestReadMesh(unittest.TestCase):
                 np.testing.assert_allclose(hit, [expected, 0.0], atol=1e-15)
 
     def test_tetrahedra(self):
-        points = "0 0 0  1 0 0  0 1 0  0 0 1  1 1 1"
-        text = (
-            "# vtk DataFile Version 3.0\nx\nASCII\n"
-            "DATASET UNSTRUCTURED_GRID\n"
-            f"POINTS 5 double\n{points}\n"
-            "CELLS 2 10\n4 0 1 2 3\n4 1 2 3 4\nCELL_TYPES 2\n10\n10\n"
-        )
-        mesh = mut.read_mesh(make_mesh(text, ".vtk", (2, 2, 2)), "it")
+        mesh = mut.read_mesh(make_mesh(make_vtk(), ".vtk", (2, 2, 2)), "it")
         self.assertEqual(len(mesh.surface.triangles), 6)
         self.assertIs(mesh.solid, mesh.surface)
         self.assertEqual(mesh.surface.triangles.max(), 2.0)
+        newer = mut.read_mesh(make_mesh(make_vtk_5([1, 2, 3, 4]), ".vtk"), "it")
+        np.testing.assert_array_equal(
+            2.0 * newer.surface.triangles, mesh.surface.triangles
+        )
+
+    def test_tetrahedra_with_bad_points_or_corners_are_named(self):
+        for text, message in (
+            (make_vtk("4 1 2 3 9"), "corner 9, which is not one of its 5 poi"),
+            (make_vtk("4 1 2 3 5"), "corner 5, which is not one of its 5 poi"),
+            (make_vtk("4 1 2 3 -1"), "corner -1, which is not one of its 5"),
+            (make_vtk(point="nan 1 1"), "point 4 is not three finite numbers"),
+            (make_vtk(point="1 1 -inf"), "point 4 is not three finite numbers"),
+            (make_vtk(point="1 1"), "cannot be read"),
+            (make_vtk(point="1 1 x"), "cannot be read"),
+            (make_vtk_5([1, 2, 3, 5]), "corner 5, which is not one of its 5"),
+            (make_vtk_5([1, 2, 3, -1]), "corner -1, which is not one of its 5"),
+            (make_binary_vtk(9), "not as its format demands"),
+            (make_binary_vtk(-1), "not as its format demands"),
+        ):
+            with (
+                self.subTest(message=message),
+                self.assertRaisesRegex(
+                    UserError, f"geometry 'horn': mesh 'memory' .*{message}"
+                ),
+            ):
+                mut.read_mesh(make_mesh(text, ".vtk"), "horn")
+        mut.read_mesh(make_mesh(make_binary_vtk(3), ".vtk"), "horn")
+
+    def test_bad_vertices_and_corners_are_named(self):
+        """In formats whose readers would drop or change them silently."""
+        not_finite = CUBE_VERTICES.copy()
+        not_finite[1, 0] = np.nan
+        infinite = CUBE_VERTICES.copy()
+        infinite[1, 0] = np.inf
+        beyond, negative = CUBE_FACES.copy(), CUBE_FACES.copy()
+        beyond[0, 0], negative[0, 0] = 8, -1
+        gltf, _ = make_gltf(
+            [(not_finite, CUBE_FACES.ravel(), 4)], [{"mesh": 0}], None
+        )
+        for text, extension, message in (
+            (make_stl(not_finite), ".stl", "vertex that is not finite"),
+            (make_stl(infinite), ".stl", "vertex that is not finite"),
+            (gltf, ".gltf", "vertex that is not finite"),
+            (make_dae(not_finite, CUBE_FACES, 1.0), ".dae", "not finite"),
+            (make_dae(infinite, CUBE_FACES, 1.0), ".dae", "not finite"),
+            (make_dae(CUBE_VERTICES, beyond, 1.0), ".dae", "maxindex=8"),
+            (
+                make_dae(CUBE_VERTICES, negative, 1.0),
+                ".dae",
+                "index -1 is not one of its 8 vertices",
+            ),
+        ):
+            with (
+                self.subTest(extension=extension, message=message),
+                self.assertRaisesRegex(
+                    UserError, f"geometry 'horn': mesh 'memory' .*{message}"
+                ),
+            ):
+                mut.read_mesh(make_mesh(text, extension), "horn")
 
     def test_stl_binary_and_text(self):
         surface = trimesh.Trimesh(self.vertices, self.faces, process=False)
@@ -583,7 +683,10 @@ class TestReadMesh(unittest.TestCase):
             (make_mesh(needs, ".gltf"), "needs the extensions KHR_draco"),
             (make_mesh("[]", ".gltf"), "memory.*not as its format demands"),
             (make_mesh(null, ".gltf"), "memory.*not as its format demands"),
-            (make_mesh(json.dumps(circle), ".gltf"), "no tree: two lead to 0"),
+            (
+                make_mesh(json.dumps(circle), ".gltf"),
+                "not a tree: two lead to 0",
+            ),
         ):
             with (
                 self.subTest(message=message),
@@ -594,7 +697,7 @@ class TestReadMesh(unittest.TestCase):
                 mut.read_mesh(shape, "horn")
 
     def test_obj_vertex_that_is_no_point(self):
-        """Drake's reader takes 0 for what is no number."""
+        """Drake's reader takes 0 for what is not a number."""
         good = ["v 0 0 1", "v\t+1. .5 -2E-1 # far", "v 1 0 0 1 1 1", "f 1 2 3"]
         for bad in (
             "v nan 0 0",
@@ -649,13 +752,17 @@ class TestReadMesh(unittest.TestCase):
             ("nodes/0/scale", [2], "scale: .* not 3 finite numbers"),
             ("nodes/0/translation", [2], "translation: .* not 3 finite"),
             ("nodes/0/matrix", [1] * 16, "matrix: .* is not affine"),
-            ("nodes/0/mesh", -1, "-1 is none of its 2 meshes"),
-            ("nodes/0/mesh", 2, "2 is none of its 2 meshes"),
-            ("nodes/0/children", [-1], "-1 is none of its 2 nodes"),
-            ("scene", -1, "-1 is none of its 1 scenes"),
-            ("accessors/0/bufferView", -2, "-2 is none of its 4 bufferViews"),
-            ("accessors/0/bufferView", 4, "4 is none of its 4 bufferViews"),
-            ("accessors/0/bufferView", True, "True is none of"),
+            ("nodes/0/mesh", -1, "-1 is not one of its 2 meshes"),
+            ("nodes/0/mesh", 2, "2 is not one of its 2 meshes"),
+            ("nodes/0/children", [-1], "-1 is not one of its 2 nodes"),
+            ("scene", -1, "-1 is not one of its 1 scenes"),
+            (
+                "accessors/0/bufferView",
+                -2,
+                "-2 is not one of its 4 bufferViews",
+            ),
+            ("accessors/0/bufferView", 4, "4 is not one of its 4 bufferViews"),
+            ("accessors/0/bufferView", True, "True is not one of"),
             ("accessors/0/byteOffset", -12, "byteOffset: -12 is not a whole"),
             ("accessors/0/byteOffset", 12, "bufferView is too short"),
             ("accessors/0/count", 4, "bufferView is too short"),
@@ -663,8 +770,8 @@ class TestReadMesh(unittest.TestCase):
             ("accessors/0/componentType", 5125, "VEC3 of 5125, not VEC3 of"),
             ("accessors/0/type", "SCALAR", "SCALAR of 5126, not VEC3"),
             ("accessors/1/componentType", 5122, "5122, not SCALAR of 5121 or"),
-            ("accessors/1/count", 2, "2 corners are no whole triangles"),
-            ("bufferViews/0/buffer", -1, "-1 is none of its 1 buffers"),
+            ("accessors/1/count", 2, "2 corners do not make whole triangles"),
+            ("bufferViews/0/buffer", -1, "-1 is not one of its 1 buffers"),
             ("bufferViews/0/byteOffset", -1, "byteOffset: -1 is not a whole"),
             ("bufferViews/0/byteLength", 35, "bufferView is too short"),
             ("bufferViews/0/byteLength", None, "byteLength: None"),
@@ -672,8 +779,12 @@ class TestReadMesh(unittest.TestCase):
             ("bufferViews/0/byteStride", 4, "byteStride: 4 is less than 12 B"),
             ("buffers/0/byteLength", size + 1, f"short: {size} of {size + 1}"),
             ("buffers/0/byteLength", 40, "too short for its bufferView"),
-            ("meshes/0/primitives/0/attributes/POSITION", -2, "-2 is none of"),
-            ("meshes/0/primitives/0/indices", -1, "-1 is none of its 4 acc"),
+            (
+                "meshes/0/primitives/0/attributes/POSITION",
+                -2,
+                "-2 is not one of",
+            ),
+            ("meshes/0/primitives/0/indices", -1, "-1 is not one of its 4 acc"),
             ("meshes/0/primitives/0/mode", 7, "unknown mode 7"),
         ):
             gltf = json.loads(text)
@@ -693,11 +804,11 @@ class TestReadMesh(unittest.TestCase):
     def test_gltf_indices_stay_in_their_primitive(self):
         triangle = np.eye(3)
         for indices, mode, message in (
-            ([0, 1, 3], 4, "index 3 is none of a primitive's 3 vertices"),
-            ([0, 1, 2, 5], 5, "index 5 is none"),
-            ([0, 1, 2, 0], 4, "4 corners are no whole triangles"),
-            ([0, 1], 5, "2 corners are no triangle"),
-            ([0, 1], 6, "2 corners are no triangle"),
+            ([0, 1, 3], 4, "index 3 is not one of a primitive's 3 vertices"),
+            ([0, 1, 2, 5], 5, "index 5 is not one"),
+            ([0, 1, 2, 0], 4, "4 corners do not make whole triangles"),
+            ([0, 1], 5, "2 corners do not make a triangle"),
+            ([0, 1], 6, "2 corners do not make a triangle"),
         ):
             text, _ = make_gltf(
                 [(triangle, indices, mode), (triangle + 5, [0, 1, 2], 4)],
@@ -791,5 +902,8 @@ class TestMakeTriangleMesh(unittest.TestCase):
     def test_wrong_arguments(self):
         with self.assertRaisesRegex(ValueError, "no triangle"):
             mut.make_triangle_mesh(np.eye(3), np.empty((0, 3)))
+        for corner in (-1, 3):
+            with self.assertRaisesRegex(ValueError, "not one of its 3 vert"):
+                mut.make_triangle_mesh(np.eye(3), [[0, 1, corner]])
         with self.assertRaisesRegex(ValueError, "not finite"):
             mut.make_triangle_mesh(np.eye(3) * np.nan, [[0, 1, 2]])

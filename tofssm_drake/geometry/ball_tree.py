@@ -4,7 +4,7 @@ import numpy as np
 
 from tofssm_drake.geometry import ray_kernels
 
-# So many balls are tested faster than a group that is around them.
+# Testing this many balls is faster than testing a ball around them first.
 _GROUP_SIZE = 8
 
 
@@ -13,8 +13,8 @@ def make_ball_tree(
 ) -> np.ndarray:
     """Makes the table `balls` of the ray kernels.
 
-    Shapes of one frame stay where they are to each other, so their tree is
-    built once. What is fixed in the world is one frame, however large.
+    Shapes of one frame do not move relative to each other, so their tree is
+    built once. Everything fixed in the world is one frame, however large.
 
     Args:
         frames: Row of each shape's frame in X_WF, shape (n,).

@@ -4,9 +4,22 @@ A capsule is a segment p-q with a radius; a sphere is a capsule whose segment
 has no length. Everything is in one frame, in metres.
 """
 
+from typing import NamedTuple
+
 import numpy as np
 
 from tofssm_drake.kernels import njit
+
+
+class _Capsules(NamedTuple):
+    """A set of n capsules."""
+
+    p: np.ndarray
+    """First ends, shape (n, 3)."""
+    q: np.ndarray
+    """Second ends, shape (n, 3)."""
+    r: np.ndarray
+    """Radii, shape (n,)."""
 
 
 @njit(cache=True, error_model="numpy")
@@ -44,9 +57,9 @@ def _gap2(a, b, s, t, c, d):
 def _closest_on_segments(a, b, c, d):
     """Returns (s, t, squared distance) of the closest points of ab and cd.
 
-    Either the closest points are inside both segments, where the connection
-    is square to both, or one of them is an end point. All candidates are
-    tried, so parallel and degenerate segments need no threshold.
+    Either the closest points are inside both segments, where the line
+    between them is normal to both, or one of them is an end point. All
+    candidates are tried, so parallel and degenerate segments need no threshold.
     """
     best_s = 0.0
     best_t = _project_on_segment(a[0], a[1], a[2], c, d)
@@ -100,6 +113,87 @@ def _calc_bounding_balls(p, q, r, ball):
 
 
 @njit(cache=True, error_model="numpy")
+def _bound_distances(a, b, bound):
+    """Writes lower bounds of all pairs' distances, from their bounding balls.
+
+    Args:
+        a: Capsules A, see _Capsules.
+        b: Capsules B.
+        bound: Written, shape (n, m); up to the first NaN.
+
+    Returns:
+        (i, j): the pair with the lowest bound, or the first with a NaN, -1
+        if there is none.
+    """
+    n, m = bound.shape
+    a_ball, b_ball = np.empty((n, 4)), np.empty((m, 4))
+    _calc_bounding_balls(a.p, a.q, a.r, a_ball)
+    _calc_bounding_balls(b.p, b.q, b.r, b_ball)
+    first_i, first_j = -1, -1
+    nearest = np.inf
+    for i in range(n):
+        for j in range(m):
+            x = a_ball[i, 0] - b_ball[j, 0]
+            y = a_ball[i, 1] - b_ball[j, 1]
+            z = a_ball[i, 2] - b_ball[j, 2]
+            gap = np.sqrt(x * x + y * y + z * z)
+            bound[i, j] = gap - a_ball[i, 3] - b_ball[j, 3]
+            if np.isnan(bound[i, j]):
+                return i, j
+            if bound[i, j] < nearest or first_i < 0:
+                first_i, first_j, nearest = i, j, bound[i, j]
+    return first_i, first_j
+
+
+@njit(cache=True, error_model="numpy")
+def _find_closest_pair(a, b, bound, i, j):
+    """Returns (distance, i, j, s, t) of the closest pair and its points.
+
+    Args:
+        a: Capsules A, see _Capsules.
+        b: Capsules B.
+        bound: Lower bounds of the distances, shape (n, m).
+        i: With j, the pair that is measured first.
+        j: See i.
+    """
+    best_i, best_j = first_i, first_j = i, j
+    best_s, best_t, gap2 = _closest_on_segments(a.p[i], a.q[i], b.p[j], b.q[j])
+    distance = np.sqrt(gap2) - a.r[i] - b.r[j]
+    for i in range(bound.shape[0]):
+        for j in range(bound.shape[1]):
+            if bound[i, j] >= distance or (i == first_i and j == first_j):
+                continue
+            s, t, gap2 = _closest_on_segments(a.p[i], a.q[i], b.p[j], b.q[j])
+            signed = np.sqrt(gap2) - a.r[i] - b.r[j]
+            if signed < distance:
+                distance = signed
+                best_i, best_j, best_s, best_t = i, j, s, t
+    return distance, best_i, best_j, best_s, best_t
+
+
+@njit(cache=True, error_model="numpy")
+def _find_square(ux, uy, uz, vx, vy, vz):
+    """Returns (x, y, z, length) of a vector normal to two others, length > 0.
+
+    If they are parallel, or one is zero, normal to the longer one.
+    """
+    x, y, z = _cross(ux, uy, uz, vx, vy, vz)
+    length = np.sqrt(x * x + y * y + z * z)
+    if length > 0.0:
+        return x, y, z, length
+    if ux * ux + uy * uy + uz * uz < vx * vx + vy * vy + vz * vz:
+        ux, uy, uz = vx, vy, vz
+    if abs(ux) < abs(uz):
+        x, y, z = _cross(ux, uy, uz, 1.0, 0.0, 0.0)
+    else:
+        x, y, z = _cross(ux, uy, uz, 0.0, 0.0, 1.0)
+    length = np.sqrt(x * x + y * y + z * z)
+    if length > 0.0:
+        return x, y, z, length
+    return 1.0, 0.0, 0.0, 1.0
+
+
+@njit(cache=True, error_model="numpy")
 def closest_capsules(a_p, a_q, a_r, b_p, b_q, b_r):
     """Returns where two sets of capsules come closest (compiled).
 
@@ -117,75 +211,30 @@ def closest_capsules(a_p, a_q, a_r, b_p, b_q, b_r):
         surfaces, each of shape (3,). If a set is empty: inf, -1, -1, NaN.
         If a number is NaN, so is the distance. Where two axes cross there is
         no direction from one to the other: the witness points are then taken
-        square to both axes.
+        normal to both axes.
     """
-    n, m = a_r.shape[0], b_r.shape[0]
-    a_ball = np.empty((n, 4))
-    b_ball = np.empty((m, 4))
-    _calc_bounding_balls(a_p, a_q, a_r, a_ball)
-    _calc_bounding_balls(b_p, b_q, b_r, b_ball)
-    # The pair that its bounding balls put nearest is measured first: most of
-    # the others are then ruled out by theirs.
-    bound = np.empty((n, m))
-    first_i, first_j = -1, -1
-    nearest = np.inf
-    for i in range(n):
-        for j in range(m):
-            x = a_ball[i, 0] - b_ball[j, 0]
-            y = a_ball[i, 1] - b_ball[j, 1]
-            z = a_ball[i, 2] - b_ball[j, 2]
-            gap = np.sqrt(x * x + y * y + z * z)
-            bound[i, j] = gap - a_ball[i, 3] - b_ball[j, 3]
-            if np.isnan(bound[i, j]):
-                # An unknown pair must not read as a far one.
-                unknown = np.full(3, np.nan)
-                return np.nan, i, j, unknown, unknown.copy()
-            if bound[i, j] < nearest or first_i < 0:
-                first_i, first_j, nearest = i, j, bound[i, j]
-    distance = np.inf
-    best_i, best_j = -1, -1
-    best_s, best_t = 0.0, 0.0
-    if first_i >= 0:
-        i, j = first_i, first_j
-        s, t, gap2 = _closest_on_segments(a_p[i], a_q[i], b_p[j], b_q[j])
-        distance = np.sqrt(gap2) - a_r[i] - b_r[j]
-        best_i, best_j, best_s, best_t = i, j, s, t
-    for i in range(n):
-        for j in range(m):
-            if bound[i, j] >= distance or (i == first_i and j == first_j):
-                continue
-            s, t, gap2 = _closest_on_segments(a_p[i], a_q[i], b_p[j], b_q[j])
-            signed = np.sqrt(gap2) - a_r[i] - b_r[j]
-            if signed < distance:
-                distance = signed
-                best_i, best_j, best_s, best_t = i, j, s, t
-    p_A = np.full(3, np.nan)
-    p_B = np.full(3, np.nan)
-    if best_i < 0:
-        return distance, best_i, best_j, p_A, p_B
-    i, j = best_i, best_j
+    a, b = _Capsules(a_p, a_q, a_r), _Capsules(b_p, b_q, b_r)
+    p_A, p_B = np.full(3, np.nan), np.full(3, np.nan)
+    # The pair whose bounding balls are nearest is measured first: most of the
+    # others are then ruled out by theirs.
+    bound = np.empty((a_r.shape[0], b_r.shape[0]))
+    i, j = _bound_distances(a, b, bound)
+    if i < 0:
+        return np.inf, i, j, p_A, p_B
+    if np.isnan(bound[i, j]):
+        # An unknown pair must not read as a far one.
+        return np.nan, i, j, p_A, p_B
+    distance, i, j, s, t = _find_closest_pair(a, b, bound, i, j)
     for k in range(3):
-        p_A[k] = a_p[i, k] + best_s * (a_q[i, k] - a_p[i, k])
-        p_B[k] = b_p[j, k] + best_t * (b_q[j, k] - b_p[j, k])
-    x, y, z = p_B[0] - p_A[0], p_B[1] - p_A[1], p_B[2] - p_A[2]
+        p_A[k] = a_p[i, k] + s * (a_q[i, k] - a_p[i, k])
+        p_B[k] = b_p[j, k] + t * (b_q[j, k] - b_p[j, k])
+    x, y, z = _subtract(p_B, p_A)
     length = np.sqrt(x * x + y * y + z * z)
     if length == 0.0:
         ux, uy, uz = _subtract(a_q[i], a_p[i])
         vx, vy, vz = _subtract(b_q[j], b_p[j])
-        x, y, z = _cross(ux, uy, uz, vx, vy, vz)
-        length = np.sqrt(x * x + y * y + z * z)
-        if length == 0.0:
-            # Parallel, or one is a point: square to the longer one.
-            if ux * ux + uy * uy + uz * uz < vx * vx + vy * vy + vz * vz:
-                ux, uy, uz = vx, vy, vz
-            if abs(ux) < abs(uz):
-                x, y, z = _cross(ux, uy, uz, 1.0, 0.0, 0.0)
-            else:
-                x, y, z = _cross(ux, uy, uz, 0.0, 0.0, 1.0)
-            length = np.sqrt(x * x + y * y + z * z)
-        if length == 0.0:
-            # Two points.
-            x, y, z, length = 1.0, 0.0, 0.0, 1.0
+        x, y, z, length = _find_square(ux, uy, uz, vx, vy, vz)
+    # From the axes to the surfaces.
     step = a_r[i] / length
     p_A[0] += step * x
     p_A[1] += step * y
@@ -209,7 +258,7 @@ def point_to_capsules(points, b_p, b_q, b_r):
 
     Returns:
         Distance to the nearest surface, negative inside, shape (m,); inf if
-        there is no capsule; NaN if a number is.
+        there is no capsule; NaN if any number is.
     """
     result = np.full(points.shape[0], np.inf)
     for i in range(points.shape[0]):

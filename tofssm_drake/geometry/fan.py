@@ -1,4 +1,4 @@
-"""Bundles of directions that stand for a cone."""
+"""Bundles of ray directions."""
 
 import itertools
 import math
@@ -110,7 +110,7 @@ def make_pinhole_fan(
     center_x: float,
     center_y: float,
 ) -> np.ndarray:
-    """Returns the directions of a camera's pixels, as Drake's CameraInfo.
+    """Returns the directions of a camera's pixels, see Drake's CameraInfo.
 
     The camera looks along z; x points to the right in the image and y down.
     Of a range along such a ray, the direction's z component times the range

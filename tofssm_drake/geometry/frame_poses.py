@@ -1,7 +1,7 @@
 """Poses for a ray caster without a QueryObject.
 
-For a QueryObject Drake updates all that it knows of the scene. Who poses the
-geometry anyhow has its poses at hand.
+To make a QueryObject Drake updates everything that it knows of the scene. A
+caller that poses the geometry itself already has the poses.
 """
 
 from collections.abc import Sequence
@@ -16,10 +16,10 @@ from tofssm_drake.geometry.ray_caster import RayCaster
 
 
 class FramePoses:
-    """Gathers the poses that a RayCaster needs from those who know them.
+    """Gathers the poses that a RayCaster needs.
 
-    These are a MultibodyPlant, by its `body_poses` output port, and any other
-    source of frames, by an array. Make it after the caster's bundles.
+    They come from a MultibodyPlant's `body_poses` output port and, for frames
+    of any other source, from an array. Make it after the caster's bundles.
     """
 
     def __init__(
@@ -29,7 +29,7 @@ class FramePoses:
         plant: MultibodyPlant | None = None,
         frame_ids: Sequence[FrameId] = (),
     ):
-        """Finds out who poses which frame.
+        """Assigns a source to each frame.
 
         Args:
             caster: Whose `frame_ids` are to be posed.
@@ -39,7 +39,7 @@ class FramePoses:
                 those that the caster does not need are skipped.
 
         Raises:
-            ValueError: If nobody poses a frame, or the array does so twice.
+            ValueError: If nothing poses a frame, or the array does so twice.
         """
         rows = {f: row for row, f in enumerate(frame_ids)}
         if len(rows) != len(frame_ids):
@@ -58,8 +58,9 @@ class FramePoses:
             body = plant and plant.GetBodyFromFrameId(frame_id)
             if not body:
                 raise ValueError(
-                    f"nobody poses the frame {frame_id}: it is none of the"
-                    f" {len(frame_ids)} frame_ids and of no body of the plant"
+                    f"nothing poses the frame {frame_id}: it is not one of the"
+                    f" {len(frame_ids)} frame_ids and"
+                    " belongs to no body of the plant"
                 )
             bodies.append(int(body.index()))
             self._body_rows.append(row)

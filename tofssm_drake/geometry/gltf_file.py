@@ -1,9 +1,9 @@
 """The triangles of a glTF file.
 
-trimesh reads glTF, too, but takes other vertices than the file's where an
-index is out of range, stretches by rotations that are not unit quaternions
-and leaves out triangle fans, all without a word (version 5.2). A sensor must
-not see another surface than the file's, so it is read and checked here.
+trimesh reads glTF, too, but silently takes the wrong vertices where an index is
+out of range, stretches by rotations that are not unit quaternions and leaves
+out triangle fans (version 5.2). A sensor must see exactly the file's surface,
+so it is read and checked here.
 """
 
 import base64
@@ -35,8 +35,8 @@ def read_gltf(
         (n, 3).
 
     Raises:
-        ValueError, LookupError, AttributeError, TypeError: If it is not as
-            the specification demands, or has what is not supported.
+        ValueError, LookupError, AttributeError, TypeError: If it
+            violates the specification, or uses what is not supported.
     """
     gltf = json.loads(contents)
     required = gltf.get("extensionsRequired", [])
@@ -83,7 +83,7 @@ def _find(gltf, kind: str, index):
     """Returns an entry by its index, which does not count from the end."""
     entries = gltf.get(kind, [])
     if type(index) is not int or not 0 <= index < len(entries):
-        raise ValueError(f"{index!r} is none of its {len(entries)} {kind}")
+        raise ValueError(f"{index!r} is not one of its {len(entries)} {kind}")
     return entries[index]
 
 
@@ -116,7 +116,7 @@ def _walk_gltf_nodes(gltf):
     while stack:
         index, X_GP = stack.pop()
         if index in seen:
-            raise ValueError(f"its nodes are no tree: two lead to {index}")
+            raise ValueError(f"its nodes are not a tree: two lead to {index}")
         seen.add(index)
         node = _find(gltf, "nodes", index)
         X_GN = X_GP @ _calc_node_transform(node)
@@ -164,8 +164,8 @@ def _read_primitive(gltf, buffers, primitive):
     # The vertices of the next primitive come after these.
     if indices.max(initial=-1) >= len(p_NV):
         raise ValueError(
-            f"the index {indices.max()} is none of a primitive's"
-            f" {len(p_NV)} vertices"
+            f"the index {indices.max()} is not one of a"
+            f" primitive's {len(p_NV)} vertices"
         )
     return p_NV, indices
 
@@ -209,10 +209,12 @@ def _read_accessor(gltf, buffers, index, kind, component_types) -> np.ndarray:
 def _make_faces(indices: np.ndarray, mode: int) -> np.ndarray:
     if mode == _TRIANGLES:
         if len(indices) % 3:
-            raise ValueError(f"{len(indices)} corners are no whole triangles")
+            raise ValueError(
+                f"{len(indices)} corners do not make whole triangles"
+            )
         return indices.reshape(-1, 3)
     if len(indices) < 3:
-        raise ValueError(f"{len(indices)} corners are no triangle")
+        raise ValueError(f"{len(indices)} corners do not make a triangle")
     if mode == _TRIANGLE_FAN:
         return np.column_stack(
             [

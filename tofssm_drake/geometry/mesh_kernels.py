@@ -1,9 +1,9 @@
 """Compiled ray queries against triangle meshes and convex polytopes.
 
 The test of ray and triangle is the watertight one of Woop, Benthin and Wald
-(Journal of Computer Graphics Techniques 2(1), 2013): neighbours decide about
-their common edge with the same products, so no ray slips through between
-them. Meshes come as one pool of nodes and triangles (see `TriangleTree`).
+(Journal of Computer Graphics Techniques 2(1), 2013): neighbours evaluate their
+common edge with the same products, so no ray slips through between them.
+Meshes come as one pool of nodes and triangles (see `TriangleTree`).
 """
 
 import numpy as np
@@ -14,7 +14,7 @@ STACK = 128
 """Entries of a traversal's stack; trees are less deep."""
 
 ON = 1e-14
-"""How near to a surface is on it, in units of the largest coordinate."""
+"""Points this near a surface are on it, in units of the largest coordinate."""
 
 # Of a product of three lengths.
 _ROUNDING = 2e-15
@@ -59,7 +59,7 @@ def _cross_triangle(triangles, i, p, kx, ky, kz, sx, sy, sz):
     """Returns (distance, side) where a line crosses triangle i.
 
     The side is 0 for a miss, else the sign of the projected area, which
-    tells front from back. The distance may be negative.
+    separates front from back. The distance may be negative.
     """
     az = triangles[i, kz] - p[kz]
     bz = triangles[i, 3 + kz] - p[kz]
@@ -173,8 +173,8 @@ def _count_turns(nodes, triangles, root, p, dx, dy, dz, stack):
 def _encloses(nodes, triangles, root, p, stack):
     """Returns whether a closed mesh encloses a point.
 
-    A ray through an edge counts it twice, so odd directions are taken, and
-    what two of three say.
+    A ray through an edge counts it twice. So odd directions are taken, and the
+    majority of three counts.
     """
     first = _count_turns(
         nodes, triangles, root, p, 0.4836, 0.3271, 0.8118, stack
@@ -204,7 +204,7 @@ def _is_near_edge(ax, ay, az, ex, ey, ez, within):
 def _is_near_triangle(triangles, i, p, within):
     """Returns whether a point is near triangle i, or closer than rounding.
 
-    A sliver's plane is the less certain the slimmer it is.
+    The slimmer a sliver, the less certain its plane.
     """
     # The corners and edges, from the point.
     ax, ay, az = (
@@ -247,7 +247,7 @@ def _is_near_triangle(triangles, i, p, within):
 
 @njit(cache=True, error_model="numpy")
 def _is_on_mesh(nodes, triangles, root, p, within, stack):
-    """Returns whether a point is on a triangle, give or take a distance."""
+    """Returns whether a point is within a distance of any triangle."""
     stack[0, 0] = root
     top = 1
     while top > 0:
@@ -330,7 +330,7 @@ def cast_convex(planes, first, count, p, dx, dy, dz):
 
 @njit(cache=True, error_model="numpy")
 def leave_convex(planes, first, count, p, dx, dy, dz):
-    """Returns (distance, plane) at which a ray from inside gets out."""
+    """Returns (distance, plane) at which a ray from inside leaves."""
     leave, found = np.inf, -1
     for i in range(first, first + count):
         slope = planes[i, 0] * dx + planes[i, 1] * dy + planes[i, 2] * dz
@@ -348,7 +348,7 @@ def leave_convex(planes, first, count, p, dx, dy, dz):
 def is_inside_convex(planes, first, count, p, within):
     """Returns whether a point is inside a polytope or on its surface.
 
-    Or, with `within` above 0, so far inside of it.
+    With `within` above 0: at least that far inside.
     """
     for i in range(first, first + count):
         if (

@@ -1,9 +1,9 @@
-"""Which triangles of a mesh bound volumes, and which way they are turned.
+"""Which triangles of a mesh bound volumes, and how they are oriented.
 
 A point is inside a surface if the surface winds around it. That needs
-triangles that all run the same way around, which files do not always give:
-single triangles are turned over, parts are inside out, or a stray triangle
-bounds nothing.
+consistently oriented triangles, which files do not always have: single
+triangles are turned over, parts are inside out, or a stray triangle bounds
+nothing.
 """
 
 import itertools
@@ -14,7 +14,7 @@ from tofssm_drake.geometry.mesh_kernels import STACK, is_in_mesh
 from tofssm_drake.geometry.triangle_tree import make_triangle_tree
 from tofssm_drake.kernels import njit
 
-# Corners so near to each other are one, in units of the largest coordinate:
+# Corners this near to each other are one, in units of the largest coordinate:
 # several roundings of single precision (*assumed*: what exporters leave).
 _WELD = 1e-6
 
@@ -22,22 +22,21 @@ _WELD = 1e-6
 def orient_faces(
     vertices: np.ndarray, faces: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Turns the triangles of a mesh so that they run the same way around.
+    """Orients the triangles of a mesh consistently.
 
     Triangles that share an edge with no third one are in one part. A part is
-    closed if each of its edges has as many of its triangles on either side,
-    after single ones were turned over as most of the part runs. Triangles
-    that are not in such a part, but share edges with one another, are a part,
-    too, if they are closed the way they run. All others bound nothing.
+    closed if each of its edges is used equally often in either direction,
+    after single triangles were turned over to match the majority. Other
+    triangles that share edges are a part, too, if they are closed with the
+    orientation of the file. All others bound nothing.
 
     Vertices at the same place count as one, since files repeat them where a
     surface has a crease. Of several triangles with the same corners one
-    counts, unless only all of them close a part. What is not closed by then
-    is tried once more with corners welded that differ by rounding.
+    counts, unless it takes all of them to close a part. What is still open is
+    tried again with corners welded that differ by rounding.
 
-    A part then encloses what is inside of it, whichever way it runs. But a
-    part that is wholly within another one, and runs the other way, is a
-    hollow in it.
+    A part encloses what is inside it, whatever its orientation. But a part
+    wholly within another one, and of opposite orientation, is a hollow in it.
 
     Args:
         vertices: Positions, shape (v, 3), m.
@@ -68,7 +67,7 @@ def orient_faces(
     inverted = _find_inverted_parts(welded, faces, part)
     over = inverted[part] & is_closed
     faces[over] = faces[over, ::-1]
-    # A line or point does no harm: no ray crosses it.
+    # Degenerate triangles do no harm: no ray crosses them.
     return faces, is_closed | ~_are_real(places[faces]), welded
 
 
@@ -118,7 +117,7 @@ def _group_near(points: np.ndarray, within: float) -> np.ndarray:
 
 
 def _move_to_places(vertices, faces, places) -> np.ndarray:
-    """Returns vertices of which those at the same place are equal.
+    """Returns the vertices, with equal values for those at the same place.
 
     Only corners of the given faces are moved.
     """
@@ -149,8 +148,7 @@ def _find_closed_parts(corners, is_open):
     single = rows[np.sort(np.unique(numbers, return_index=True)[1])]
     turned[single], group = _find_even_parts(corners[single])
     part[single] = np.where(group >= 0, single[group], -1)
-    # What is left is tried the way it runs, each triangle as often as it is
-    # there.
+    # The rest is tried as oriented in the file, repeated triangles included.
     rest = np.flatnonzero(is_open & (part < 0) & ~_are_repeated(corners, part))
     if len(rest) > 0:
         group = _find_balanced_parts(corners[rest])
@@ -188,7 +186,7 @@ def _list_edges(corners):
 
 
 def _pair_up(edge, count, most):
-    """Returns rows of `edge`, pairwise equal, with at most so many equal."""
+    """Returns rows of `edge`, pairwise equal, with at most `most` equal."""
     order = np.argsort(edge, kind="stable")
     # Neighbours in this list share an edge.
     first, second = order[:-1], order[1:]
@@ -209,7 +207,7 @@ def _find_even_parts(corners):
     group, turned, is_orientable = _join(
         n, owner[first], owner[second], sign[first] == sign[second]
     )
-    # As most of the part runs.
+    # To match the majority of the part.
     most = np.bincount(group, turned, n) > 0.5 * np.bincount(group, None, n)
     turned ^= most[group]
     is_closed = is_orientable & _are_balanced(
@@ -220,7 +218,7 @@ def _find_even_parts(corners):
 
 
 def _find_balanced_parts(corners):
-    """Finds parts that are closed the way they run; returns each one's part.
+    """Finds parts that are closed as oriented; returns each triangle's part.
 
     Any number of triangles may share an edge.
     """
@@ -234,7 +232,7 @@ def _find_balanced_parts(corners):
 
 
 def _are_balanced(group, edge, sign, num_groups):
-    """Returns whether each group's edges are run along equally either way."""
+    """Returns whether each group uses its edges equally in either direction."""
     keys, index = np.unique(
         group * (edge.max() + 1) + edge, return_inverse=True
     )
@@ -292,7 +290,7 @@ def _join(n, first, second, differ):
 
 
 def _find_inverted_parts(vertices, faces, part):
-    """Returns for each number of a part whether all of it is to be turned."""
+    """Returns for each part's number whether the whole part is inside out."""
     p = vertices[faces] - vertices[faces[0, 0]]
     volume = np.bincount(
         part[part >= 0],
@@ -303,7 +301,7 @@ def _find_inverted_parts(vertices, faces, part):
     numbers = np.unique(part[part >= 0])
     if not inverted.any() or inverted[numbers].all():
         return inverted
-    # Some are: each within another one keeps how it runs beside that.
+    # Only some are: one within another keeps its orientation relative to it.
     numbers = numbers[np.argsort(-np.abs(volume[numbers]), kind="stable")]
     order = np.argsort(part, kind="stable")
     starts, ends = np.searchsorted(part[order], [numbers, numbers + 1])
@@ -318,7 +316,7 @@ def _find_inverted_parts(vertices, faces, part):
         fits = (low[:j] <= low[j]).all(axis=1) & (high[:j] >= high[j]).all(
             axis=1
         )
-        # The smallest one around it comes last.
+        # The smallest enclosing one comes last.
         for i in np.flatnonzero(fits)[::-1]:
             if i not in trees:
                 trees[i] = make_triangle_tree(vertices, parts[i])

@@ -1,9 +1,9 @@
 """The triangles of a Wavefront OBJ file.
 
-Drake's reader hands out one triangle of a face with five corners, takes 0 for
-a coordinate that is not a number, and crashes on an index out of range;
-trimesh cuts a face that is not convex outside of it, and counts relative
-indices from the end of the file. So it is read here.
+Drake's reader returns one triangle of a face with five corners, takes 0 for a
+coordinate that is not a number, and crashes on an index out of range. trimesh
+cuts a non-convex face outside of it, and counts relative indices from the end
+of the file. So it is read here.
 """
 
 import math
@@ -15,7 +15,7 @@ from tofssm_drake.geometry.polygons import cut_polygons
 
 _NUMBER = rb"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?"
 _INTEGER = rb"[+-]?[0-9]{1,18}"
-# Rows of three; without a way back, or long texts would take long.
+# Rows of three, possessive: backtracking would make long texts slow.
 _THREE_NUMBERS = re.compile(
     rb"(?>[ \t]*+(?:" + _NUMBER + rb"[ \t]++){2}" + _NUMBER + rb"[ \t]*+\n)*+"
 )
@@ -33,7 +33,7 @@ def read_obj(contents: bytes) -> tuple[np.ndarray, np.ndarray]:
 
     Raises:
         ValueError: If a vertex is not three finite numbers, or a face's
-            corner is not a vertex; tells the line.
+            corner is not a vertex; names the line.
     """
     contents = _clean(contents)
     vertices = _read_vertices(contents)
@@ -45,7 +45,7 @@ def read_obj_vertices(contents: bytes) -> np.ndarray:
     """Returns the vertices alone, shape (v, 3).
 
     Raises:
-        ValueError: If one is not three finite numbers; tells the line.
+        ValueError: If one is not three finite numbers; names the line.
     """
     return _read_vertices(_clean(contents))
 
@@ -72,7 +72,7 @@ def _read_vertices(contents: bytes) -> np.ndarray:
         return np.empty((0, 3))
     text = b"\n".join(rows) + b"\n"
     if not _THREE_NUMBERS.fullmatch(text):
-        # Perhaps colours or weights come behind.
+        # Perhaps followed by colours or weights.
         fields = [row.split() for row in rows]
         if not all(
             len(row) > 2 and all(map(_is_number, row)) for row in fields

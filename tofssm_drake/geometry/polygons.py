@@ -10,9 +10,9 @@ def cut_polygons(
 ) -> np.ndarray:
     """Cuts polygons into triangles that cover them and nothing else.
 
-    A polygon need not be convex; its triangles run around as it does. A
-    quadrangle is cut along its shorter diagonal, if that is inside of it.
-    One whose outline crosses itself is cut somehow.
+    A polygon need not be convex; its triangles keep its orientation. A
+    quadrangle is cut along its shorter diagonal, if that is inside it.
+    One whose outline crosses itself is cut arbitrarily.
 
     Args:
         vertices: Positions, shape (v, 3), m.
@@ -55,8 +55,8 @@ def _cut_polygons(vertices, corners, counts):
 def _flatten(vertices, polygon):
     """Returns x and y of corners, seen so that they run counter-clockwise.
 
-    Of the three coordinates that one is left out which the polygon's area is
-    most square to: the two others keep all their digits.
+    The coordinate closest to the polygon's normal is dropped, so that the two
+    others keep all their digits.
     """
     nx, ny, nz = 0.0, 0.0, 0.0
     last = vertices[polygon[0]]
@@ -115,8 +115,8 @@ def _clip_ears(polygon, x, y, cuts):
     i, tried = 0, 0
     for k in range(n - 2):
         left = n - k
-        # Straight corners, which have no area, only if there is no other;
-        # then, if the outline crosses itself, any.
+        # Straight corners, which have no area, only if there are no others;
+        # then any, if the outline crosses itself.
         while tried < 2 * left and not _is_ear(
             x, y, before, after, i, left, tried < left
         ):
@@ -129,7 +129,7 @@ def _clip_ears(polygon, x, y, cuts):
 
 @njit(cache=True)
 def _is_ear(x, y, before, after, i, left, is_strict):
-    """Returns whether a corner can be cut off: nothing else is within it."""
+    """Returns whether a corner can be cut off: no other corner is within it."""
     a, c = before[i], after[i]
     area = _turn(x, y, a, i, c)
     if area < 0.0 or (is_strict and area == 0.0):

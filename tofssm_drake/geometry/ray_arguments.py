@@ -1,4 +1,4 @@
-"""Checks of what callers hand to the ray caster."""
+"""Checks of the ray caster's arguments."""
 
 from collections.abc import Iterable, Sequence
 import reprlib
@@ -20,12 +20,12 @@ def as_packed(where: str, array) -> np.ndarray:
 
 
 def copy_numbers(where: str, array) -> np.ndarray:
-    """Returns a copy, real numbers, unless they are none."""
+    """Returns a copy of real numbers; raises ValueError for others."""
     if _has_masked_array(array):
         raise ValueError(f"{where}: a masked array, which hides numbers")
     array = np.asarray(array)
     if array.dtype.kind not in "iuf":
-        raise ValueError(f"{where}: {array.dtype} are no real numbers")
+        raise ValueError(f"{where}: {array.dtype} are not real numbers")
     return np.array(array, dtype=float, order="C")
 
 
@@ -35,7 +35,7 @@ def _has_masked_array(array) -> bool:
         return True
     if not isinstance(array, Sequence) or isinstance(array, str | bytes):
         return False
-    # Few kinds are in many rows: numbers are not looked at one by one.
+    # Many rows have few types: so numbers are not looked at one by one.
     kinds = set(map(type, array))
     if kinds <= {float, int, np.ndarray}:
         return False
@@ -43,7 +43,7 @@ def _has_masked_array(array) -> bool:
 
 
 def check_geometry_ids(where: str, geometry_ids) -> list[GeometryId]:
-    """Returns a list of them, unless anything else is among them."""
+    """Returns a list of them; raises ValueError for anything else."""
     if not isinstance(geometry_ids, Iterable):
         raise ValueError(
             f"{where}: {show(geometry_ids)} is not a collection of GeometryIds"
@@ -53,14 +53,14 @@ def check_geometry_ids(where: str, geometry_ids) -> list[GeometryId]:
         if not isinstance(stranger, GeometryId):
             raise ValueError(
                 f"{where}: has {show(stranger)}, a {type(stranger).__name__},"
-                " which is no GeometryId; get_geometry_ids tells those of the"
+                " not a GeometryId; get_geometry_ids returns those of the"
                 " indices that a cast returns"
             )
     return geometry_ids
 
 
 def show(thing) -> str:
-    """Returns what it is in short, in one line."""
+    """Returns a short description in one line."""
     return " ".join(reprlib.repr(thing).split())
 
 

@@ -4,7 +4,7 @@ import dataclasses as dc
 
 import numpy as np
 
-# Rays that are checked together against bounding spheres, at most.
+# At most this many rays are checked together against a shape's box.
 _GROUP_SIZE = 32
 
 
@@ -73,7 +73,7 @@ def pack_bundles(
     )
     for field in dc.fields(bundles):
         value = getattr(bundles, field.name)
-        # Writable as a caller's: one and the same compiled kernel.
+        # Writable like a caller's array, so that no other kernel is compiled.
         if isinstance(value, np.ndarray) and field.name != "everyone":
             value.flags.writeable = False
     return bundles
@@ -110,7 +110,7 @@ def _calc_cone(directions: np.ndarray) -> list[float]:
     axis = directions.mean(axis=0)
     length = np.linalg.norm(axis)
     if length < 1e-3:
-        # Spread all around: no cone narrower than everything.
+        # All around: no cone is narrower than the full sphere.
         return [1.0, 0.0, 0.0, -1.0, 0.0]
     axis = axis / length
     # The sine from the cross product: near 0 the cosine has no digits left.

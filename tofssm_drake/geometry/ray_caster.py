@@ -7,6 +7,7 @@ along lines: range finders, lidars, visibility.
 
 from collections.abc import Collection, Iterable, Sequence
 import copy
+from typing import NamedTuple
 
 import numpy as np
 from pydrake.geometry import (
@@ -34,7 +35,7 @@ from tofssm_drake.geometry.scene_shapes import describe_geometry, read_shapes
 
 _IDENTITY = np.eye(3, 4)
 _BAD_POSE = (
-    "X_WF: a pose is not finite or no rotation, or is not nearer than"
+    "X_WF: a pose is not finite, is not rigid, or is not nearer than"
     f" {ray_kernels.FAR:g} m"
 )
 _BAD_RAY = (
@@ -43,12 +44,27 @@ _BAD_RAY = (
 )
 
 
+class _Rays(NamedTuple):
+    """n rays in the world."""
+
+    row: np.ndarray
+    """Each ray's group, by which geometries are excluded, shape (n,)."""
+    p_WR: np.ndarray
+    """Origins, shape (n, 3), m."""
+    n_WR: np.ndarray
+    """Directions, exactly unit vectors, shape (n, 3)."""
+    min_range: np.ndarray
+    """From where on each ray sees, shape (n,), m."""
+    max_range: np.ndarray
+    """Where it ends, shape (n,), m."""
+
+
 class RayCaster:
     """Casts rays against the geometries of one role, exactly.
 
     The shapes are read once, at construction. A query then takes their poses,
-    either through a QueryObject or as an array (`frame_ids` tells the order),
-    and any number of rays.
+    either through a QueryObject or as an array in the order of `frame_ids`, and
+    any number of rays.
 
     Conventions:
       - A distance is the smallest t >= 0 at which the ray is in a shape. A
@@ -63,11 +79,11 @@ class RayCaster:
     and Mesh (.obj, .gltf, .stl, .dae and tetrahedral .vtk, from files or
     memory). A Convex is the convex hull of its vertices. A Mesh is its
     triangles, whereas most of Drake's distance queries see its hull. Its
-    closed parts have an inside (see `mesh_parts.orient_faces`); of all else
-    rays see the surface alone, from both sides. Whether a ray starts on a
+    closed parts have an inside (see `mesh_parts.orient_faces`); of the rest
+    rays see only the surface, from both sides. Whether a ray starts on a
     triangle is decided to 1e-14 of the largest coordinate, of the mesh in its
-    own frame or of the origin in the world. One that does not, and runs
-    exactly within a triangle's plane, does not see this triangle.
+    own frame or of the origin in the world. A ray that does not start on a
+    triangle, and runs exactly in its plane, does not see it.
     """
 
     def __init__(
@@ -86,20 +102,21 @@ class RayCaster:
             role: Which geometries are seen: those with this role.
             geometry_ids: If given, only these of them are seen.
             surface_only: Whether shapes are hollow. No ray then starts inside
-                of anything: it sees a shape's surface from within.
+                anything: it sees a shape's surface from within.
             skip_unsupported: Whether geometries that cannot be cast are left
                 out, see `skipped`, where they would be an error.
 
         Raises:
             UserError: If a geometry's shape cannot be cast, or has a size or
                 place of 1e100 m or more; names it.
-            ValueError: If the role is none, or a geometry of `geometry_ids`
-                does not have the role, is unknown or not a GeometryId.
+            ValueError: If the role is kUnassigned, or a geometry of
+                `geometry_ids` does not have the role, is unknown or not a
+                GeometryId.
         """
         if role == Role.kUnassigned:
             raise ValueError(
-                "role: kUnassigned is none; use kProximity, kPerception or"
-                " kIllustration"
+                "role: kUnassigned is not a role; use kProximity, kPerception"
+                " or kIllustration"
             )
         self._role = role
         self._is_subset = geometry_ids is not None
@@ -176,23 +193,22 @@ class RayCaster:
             RuntimeError: If the QueryObject was not evaluated from an output
                 port, or if geometries of the role were added, removed or
                 changed since this caster was made: it would see the old ones.
-                One change is not noticed here, but by `check_geometry`:
-                `ChangeShape` of a geometry that has the perception role only,
-                while the SceneGraph has no renderer. Drake counts no version
-                then.
-            TypeError: If it is a QueryObject of another scalar than float.
+                Only `check_geometry` notices `ChangeShape` of a geometry that
+                has the perception role alone while the SceneGraph has no
+                renderer: Drake then keeps its version.
+            TypeError: If it is a QueryObject of a scalar other than float.
         """
         if not isinstance(query_object, QueryObject):
             raise TypeError(
                 f"query_object: {type(query_object).__name__} is not a"
                 " QueryObject of floats"
             )
-        # An error here, or the inspector of such a QueryObject would end the
-        # process.
+        # Raises if it was not evaluated from an output port; its inspector
+        # would then end the process.
         query_object.GetPoseInWorld(self._world_frame_id)
         inspector = query_object.inspector()
         if not self._is_unchanged(inspector):
-            # Perhaps a change beside these geometries: look closer.
+            # Perhaps other geometries were changed: look closer.
             self.check_geometry(inspector)
             self._remember_version(inspector)
         if not self._frame_ids:
@@ -257,10 +273,10 @@ class RayCaster:
             fan_S: Directions of the rays of each bundle, in S, unit vectors,
                 shape (k, 3).
             max_range: Length of the rays, m: for all, or for each bundle.
-            min_range: Where rays begin to see, m: for all, or for each
-                bundle; see `cast`.
+            min_range: From where on rays see, m: for all, or for each bundle;
+                see `cast`.
             excluded: For each bundle, the geometries that it does not see,
-                such as the housing that it is in; others than those of the
+                such as the housing that it is in; geometries unknown to the
                 caster are ignored. None: each sees everything.
 
         Raises:
@@ -317,8 +333,8 @@ class RayCaster:
             into `geometry_ids`.
 
         Raises:
-            ValueError: If the bundles or poses do not fit, or a pose is none:
-                not finite, or its rotation is no rotation.
+            ValueError: If the bundles or poses do not fit, or a pose is not
+                finite or not rigid.
         """
         X_WF = self._check_poses(X_WF)
         self._check_bundles(bundles)
@@ -327,7 +343,7 @@ class RayCaster:
         else:
             which = self._check_which(bundles, which)
         m, k = bundles.num_bundles, len(bundles.fan_S)
-        # As results of compiled code they would cost microseconds.
+        # Allocated by compiled code they would cost microseconds.
         distance = np.empty((m, k))
         index = np.empty((m, k), dtype=np.int64)
         status = ray_kernels.cast_bundles(
@@ -345,14 +361,17 @@ class RayCaster:
             raise ValueError(_BAD_POSE)
         if self._surface_only or bundles.starts_later:
             p_WR, n_WR = self.calc_rays(bundles, X_WF)
+            rays = _Rays(
+                row=np.repeat(np.arange(m), k),
+                p_WR=p_WR.reshape(-1, 3),
+                n_WR=n_WR.reshape(-1, 3),
+                min_range=np.repeat(bundles.min_range, k),
+                max_range=np.repeat(bundles.max_range, k),
+            )
             self._cast_again(
                 X_WF,
                 bundles.active,
-                np.repeat(np.arange(m), k),
-                p_WR.reshape(-1, 3),
-                n_WR.reshape(-1, 3),
-                np.repeat(bundles.min_range, k),
-                np.repeat(bundles.max_range, k),
+                rays,
                 distance.reshape(-1),
                 index.reshape(-1),
             )
@@ -376,10 +395,10 @@ class RayCaster:
             p_WR: Origins of the n rays, shape (n, 3), m.
             n_WR: Their directions, unit vectors, shape (n, 3).
             max_range: Length of the rays, m: for all, or shape (n,).
-            min_range: Where the rays begin to see, m: for all, or shape (n,).
+            min_range: From where on the rays see, m: for all, or shape (n,).
                 The distance is then the smallest t >= min_range at which the
                 ray is in a shape: what is nearer is not seen, and a ray that
-                is inside of a shape there has the distance min_range.
+                is inside a shape there has the distance min_range.
             excluded: Geometries that none of them sees; see also
                 `get_geometry_ids`.
 
@@ -388,9 +407,9 @@ class RayCaster:
 
         Raises:
             ValueError: If shapes of arrays do not fit, if a direction is not
-                a unit vector, if a pose is none, if a number is not finite,
-                if a range is negative, if an origin is 1e100 m or more away,
-                or if `excluded` holds anything but GeometryIds.
+                a unit vector, if a pose is not rigid, if a number is not
+                finite, if a range is negative, if an origin is 1e100 m or more
+                away, or if `excluded` holds anything but GeometryIds.
             RuntimeError, TypeError: See `poses_from_query_object`.
         """
         if hasattr(poses, "GetPoseInWorld"):
@@ -413,10 +432,8 @@ class RayCaster:
         )
         if self._surface_only or min_range.any():
             n_WR = n_WR / np.linalg.norm(n_WR, axis=1, keepdims=True)
-            self._cast_again(
-                X_WF, active, row, p_WR, n_WR, min_range, max_range, distance,
-                index,
-            )  # fmt: skip
+            rays = _Rays(row, p_WR, n_WR, min_range, max_range)
+            self._cast_again(X_WF, active, rays, distance, index)
         return distance, index
 
     def calc_rays(
@@ -466,13 +483,13 @@ class RayCaster:
             min_range: As the rays were cast with; must broadcast to (...).
 
         Returns:
-            Unit normals in the world, shape (..., 3), square to the surface
-            and facing the rays; NaN where there is no hit or the ray starts
+            Unit normals of the surface in the world, shape (..., 3), facing
+            the rays; NaN where there is no hit or the ray starts
             inside.
 
         Raises:
-            ValueError: If shapes of arrays do not fit, a pose is none, a
-                direction is not a unit vector, or an index is none of this
+            ValueError: If shapes of arrays do not fit, a pose is not rigid, a
+                direction is not a unit vector, or an index is not one of this
                 caster's.
         """
         X_WF = self._check_values(self._check_poses(X_WF))
@@ -521,7 +538,7 @@ class RayCaster:
             GeometryIds, None where there is no hit; objects, shape (...).
 
         Raises:
-            ValueError: If an index is none of this caster's.
+            ValueError: If an index is not one of this caster's.
         """
         self._check_indices(geometry_index)
         # The index of no hit is -1, the last.
@@ -544,51 +561,43 @@ class RayCaster:
         self,
         X_WF: np.ndarray,
         active: np.ndarray,
-        row: np.ndarray,
-        p_WR: np.ndarray,
-        n_WR: np.ndarray,
-        min_range: np.ndarray,
-        max_range: np.ndarray,
+        rays: _Rays,
         distance: np.ndarray,
         index: np.ndarray,
     ) -> None:
-        """Casts those rays again that see something too near.
+        """Casts again those rays that saw something too near.
 
         Those are the rays that hit before their range begins and, if only
-        surfaces are seen, those that start inside. What any other ray has
-        met from outside is the first surface, too.
+        surfaces are seen, those that start inside. Any other ray has met the
+        first surface from outside.
 
         Args:
             X_WF: Poses of the frames, shape (num_frames, 3, 4).
             active: Whether a geometry is seen, bool, one row for each group.
-            row: Each ray's row in it, shape (n,).
-            p_WR: Origins, shape (n, 3), m.
-            n_WR: Directions, exactly unit vectors, shape (n, 3).
-            min_range: Where each ray begins to see, shape (n,), m.
-            max_range: Where it ends, shape (n,), m.
+            rays: The n rays.
             distance: As cast from the origins; changed, shape (n,).
             index: Likewise.
         """
-        too_near = distance < min_range
+        too_near = distance < rays.min_range
         if self._surface_only:
             too_near |= distance == 0.0
-        rays = np.flatnonzero(too_near)
-        if len(rays) == 0:
+        again = np.flatnonzero(too_near)
+        if len(again) == 0:
             return
-        start = min_range[rays]
-        t, index[rays] = self._cast_rays(
+        row, p_WR, n_WR, start, end = (array[again] for array in rays)
+        t, index[again] = self._cast_rays(
             X_WF,
             active,
-            row[rays],
-            p_WR[rays] + start[:, np.newaxis] * n_WR[rays],
-            n_WR[rays],
-            max_range[rays] - start,
+            row,
+            p_WR + start[:, np.newaxis] * n_WR,
+            n_WR,
+            end - start,
             hollow=self._surface_only,
         )
-        distance[rays] = start + t
+        distance[again] = start + t
 
     def _check_values(self, X_WF: np.ndarray) -> np.ndarray:
-        """Returns poses that are finite and turn nothing but rigidly."""
+        """Returns the poses; raises ValueError if one is not rigid."""
         if not ray_kernels.are_poses(X_WF):
             raise ValueError(_BAD_POSE)
         return X_WF
@@ -597,7 +606,7 @@ class RayCaster:
         indices = np.asarray(geometry_index)
         if indices.dtype.kind not in "iu":
             raise ValueError(
-                f"geometry_index: {indices.dtype} is no whole number"
+                f"geometry_index: {indices.dtype} are not whole numbers"
             )
         if not ((indices >= -1) & (indices < len(self._geometry_ids))).all():
             raise ValueError(
@@ -606,7 +615,7 @@ class RayCaster:
             )
 
     def _is_unchanged(self, inspector: SceneGraphInspector) -> bool:
-        """Returns whether there is no sign of a change; in 3 us."""
+        """Returns whether nothing suggests a change; in 3 us."""
         version = inspector.geometry_version()
         if not (
             version.IsSameAs(self._version, self._role)
@@ -616,9 +625,9 @@ class RayCaster:
             return False
         if self._role != Role.kPerception:
             return True
-        # Without a renderer Drake counts no versions of this role. But it
-        # counts those of others that the geometry may have, too, and it raises
-        # an error if one of a set is gone. None of them is without a role.
+        # Without a renderer Drake keeps no version of this role, but it does
+        # of the other roles that a geometry may have, and it raises an error
+        # if one of a set is gone. None of them is without a role.
         try:
             return (
                 version.IsSameAs(self._version, Role.kIllustration)
@@ -635,7 +644,7 @@ class RayCaster:
         self._num_with_role = inspector.NumGeometriesWithRole(self._role)
 
     def _split_frames(self) -> None:
-        """Sorts out the frames whose poses Drake must be asked for."""
+        """Separates the world frame from those whose poses Drake provides."""
         world = self._world_frame_id
         self._moving_ids = [f for f in self._frame_ids if f != world]
         self._world_row = self._frame_row.get(world)

@@ -21,10 +21,10 @@ from tofssm_drake.geometry.ray_caster import RayBundles, RayCaster
 
 @dc.dataclass(frozen=True, eq=False, kw_only=True)
 class _Scan:
-    """What was seen at one moment; never changed."""
+    """What was seen at one moment."""
 
     time: float = math.nan
-    """When, s; NaN: there was no scan yet."""
+    """When, s; NaN: no scan yet."""
     X_WF: np.ndarray | None = None
     """Poses of the caster's frames."""
     distance: np.ndarray
@@ -62,11 +62,11 @@ class RayCasterSensor(LeafSystem):
         there is no hit or the ray starts inside; shape (*shape, 3).
       - `scan_time`: when the rays were cast, s.
 
-    They show the present, as those of Drake's RgbdSensor, or with a `period`
-    the newest scan, as those of RgbdSensorAsync: the scene is captured at
-    `capture_offset` and every period after it, and is on the ports
+    They show the present, as Drake's RgbdSensor does, or with a `period` the
+    newest scan, as RgbdSensorAsync does: the scene is captured at
+    `capture_offset` and every period after it, and appears on the ports
     `output_delay` later. Before the first scan the ranges are NaN, not inf:
-    nothing is known, so nothing is clear. A forced unrestricted update
+    not yet known, which is not clear. A forced unrestricted update
     captures and shows a scan at once; with an infinite period that is the
     only trigger.
     """
@@ -90,7 +90,7 @@ class RayCasterSensor(LeafSystem):
             period: From one scan to the next, s, > 0; inf: only forced
                 updates scan; None: outputs show the present.
             capture_offset: Time of the first scan, s.
-            output_delay: From a scan to when it is on the ports, s, less
+            output_delay: From a scan to its appearance on the ports, s, less
                 than the period.
 
         Raises:
@@ -185,13 +185,13 @@ class RayCasterSensor(LeafSystem):
         return EventStatus.Succeeded()
 
     def _start(self, context: Context, state: State) -> EventStatus:
-        """Takes a scan, which is under way from now on."""
+        """Takes a scan that is shown later."""
         scan = self._capture(context)
         state.get_mutable_abstract_state(self._pending).set_value(scan)
         return EventStatus.Succeeded()
 
     def _show(self, context: Context, state: State) -> EventStatus:
-        """Shows the scan that is under way."""
+        """Shows the scan that was taken last."""
         scan = state.get_mutable_abstract_state(self._pending).get_value()
         state.get_mutable_abstract_state(self._shown).set_value(scan)
         return EventStatus.Succeeded()

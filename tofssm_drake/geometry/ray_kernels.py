@@ -1,18 +1,19 @@
 """Compiled kernels of the ray caster: bundles or single rays against a scene.
 
-The scene is handed over as the poses of its f frames, X_WF (f, 3, 4), and a
+The scene is passed as the poses of its f frames, X_WF (f, 3, 4), and a
 tuple of a few tables, since each array costs a fraction of a microsecond on
-the way into compiled code; whole numbers are therefore kept as floats, too:
+the way into compiled code; integers are therefore stored as floats, too:
 
   shapes     (n, 25)  one row for each shape, see the columns below
   balls      (., 7)   bounding balls of shapes and of groups of them, see below
-  planes     (., 4)   (n, h) of all polytopes: the points with n.x <= h
-  nodes      (., 8)   of all meshes, see TriangleTree
-  triangles  (., 9)   of all meshes, see TriangleTree
+  faces               a tuple of three more:
+    planes     (., 4)   (n, h) of all polytopes: the points with n.x <= h
+    nodes      (., 8)   of all meshes, see TriangleTree
+    triangles  (., 9)   of all meshes, see TriangleTree
 
-What a bundle or ray can not see is ruled out in three steps: by the balls,
-by the box that each shape is in, and, for what is farther than what has been
-hit already, by the least distance at which that box can be met.
+What a bundle or ray cannot see is ruled out in three steps: by the balls, by
+the box around each shape, and, beyond the nearest hit so far, by the least
+distance at which that box can be met.
 """
 
 from typing import NamedTuple
@@ -50,7 +51,7 @@ from tofssm_drake.kernels import njit
 CONVEX = 6
 """Kinds above those of shape_kernels. Data: first plane, number of planes."""
 MESH = 7
-"""Data: root node of all, and of what bounds a volume, -1: nothing does."""
+"""Data: root node of all triangles, and of those that bound a volume, or -1."""
 
 POSE = 0
 """Columns of shapes: X_FG row by row (12)."""
@@ -100,7 +101,7 @@ OK = 0
 BAD_POSE = 1
 BAD_RAY = 2
 
-# How far a rotation may be from one.
+# How far a rotation may be from orthonormal, or a direction from unit length.
 _TOLERANCE = 1e-6
 # Rounding must not drop a shape that is only touched.
 _MARGIN = 1e-9
@@ -123,6 +124,8 @@ class _Near(NamedTuple):
     """Balls that are still to be looked at."""
     X_WG: np.ndarray
     """A shape's pose."""
+    stack: np.ndarray
+    """For the trees of meshes, shape (2, STACK)."""
 
 
 class _Rays(NamedTuple):
@@ -133,9 +136,44 @@ class _Rays(NamedTuple):
     hit: np.ndarray
     """Its shape, -1: none."""
     t: np.ndarray
-    """Distance of the shape at hand, m."""
+    """Distance to the shape at hand, m."""
     d: np.ndarray
     """Their directions in this shape, (3, k)."""
+
+
+class _Cone(NamedTuple):
+    """The cone around a bundle's rays, in the world."""
+
+    ox: float
+    """Its tip (3)."""
+    oy: float
+    oz: float
+    ux: float
+    """Its axis, a unit vector (3)."""
+    uy: float
+    uz: float
+    cos2: float
+    """Squared cosine of half the opening angle; 0: any direction."""
+    sin: float
+    """Its sine."""
+    floor: float
+    """How far along the axis a ball must reach: 0, or -inf for any direction.
+    """
+    reach: float
+    """Length of the rays, m."""
+
+
+class _Ray(NamedTuple):
+    """A single ray in the world."""
+
+    ox: float
+    """Its origin (3)."""
+    oy: float
+    oz: float
+    ex: float
+    """Its direction, a unit vector (3)."""
+    ey: float
+    ez: float
 
 
 @njit(cache=True, error_model="numpy", forceinline=True)
@@ -174,10 +212,10 @@ def _pose_ball(X_WF, balls, b):
 
 @njit(cache=True, error_model="numpy")
 def are_poses(X_WF):
-    """Returns whether poses are in reach and their rotations rotations."""
+    """Returns whether all poses are within FAR and their rotations valid."""
     good = True
     for i in range(X_WF.shape[0]):
-        # NaN is not less.
+        # NaN fails each comparison.
         good &= (
             abs(X_WF[i, 0, 3]) + abs(X_WF[i, 1, 3]) + abs(X_WF[i, 2, 3]) < FAR
         )
@@ -190,7 +228,7 @@ def are_poses(X_WF):
         good &= abs(xx * yx + xy * yy + xz * yz) <= _TOLERANCE
         good &= abs(yx * zx + yy * zy + yz * zz) <= _TOLERANCE
         good &= abs(zx * xx + zy * xy + zz * xz) <= _TOLERANCE
-        # Not a mirror.
+        # Not a reflection.
         good &= (
             xx * (yy * zz - yz * zy)
             + xy * (yz * zx - yx * zz)
@@ -216,40 +254,50 @@ def _pose_balls(X_WF, balls):
 
 @njit(cache=True, error_model="numpy")
 def _make_mask(n):
-    """Returns n flags, and the same eight by eight."""
+    """Returns n flags, and a view of them in words of eight."""
     flags = np.zeros(8 * ((n + 7) // 8), dtype=np.uint8)
     return flags, flags.view(np.uint64)
 
 
 @njit(cache=True, error_model="numpy", forceinline=True)
-def _may_see_ball(x, y, z, radius, ux, uy, uz, cos2, sin, floor, reach):
-    """Returns whether a cone of rays may meet a ball.
+def _make_cone(X_WS, cones, reach):
+    """Returns the cone around all rays of a bundle with this pose."""
+    ax, ay, az = cones[0, 0], cones[0, 1], cones[0, 2]
+    cos, sin = max(cones[0, 3], 0.0), cones[0, 4]
+    return _Cone(
+        X_WS[0, 3],
+        X_WS[1, 3],
+        X_WS[2, 3],
+        X_WS[0, 0] * ax + X_WS[0, 1] * ay + X_WS[0, 2] * az,
+        X_WS[1, 0] * ax + X_WS[1, 1] * ay + X_WS[1, 2] * az,
+        X_WS[2, 0] * ax + X_WS[2, 1] * ay + X_WS[2, 2] * az,
+        cos * cos,
+        sin,
+        0.0 if cos > 0.0 else -np.inf,
+        reach,
+    )
 
-    Without a branch or square root, as nearly all balls are clear.
 
-    Args:
-        x: From the cone's tip to the ball's centre.
-        y: The same.
-        z: The same.
-        radius: Of the ball.
-        ux: Axis of the cone, a unit vector.
-        uy: The same.
-        uz: The same.
-        cos2: Squared cosine of half the opening angle; 0: any direction.
-        sin: Its sine.
-        floor: How far along the axis the ball must reach: 0, or -inf for any
-            direction.
-        reach: Length of the rays.
+@njit(cache=True, error_model="numpy", forceinline=True)
+def _may_see_ball(cone, x, y, z, radius):
+    """Returns whether a cone of rays may meet a ball, centre in the world.
+
+    Without a branch or square root, as nearly all balls are out of view.
     """
+    x, y, z = x - cone.ox, y - cone.oy, z - cone.oz
     gap2 = x * x + y * y + z * z
-    along = x * ux + y * uy + z * uz
+    along = x * cone.ux + y * cone.uy + z * cone.uz
     # The ball touches the edge of the cone: across cos = radius + along sin.
-    rest2 = (radius + along * sin) * (radius + along * sin)
-    far = reach + radius
+    edge = radius + along * cone.sin
+    rest2 = edge * edge
+    far = cone.reach + radius
     return (
         (gap2 * (1.0 - _MARGIN) <= far * far)
-        & (along + radius * (1.0 + _MARGIN) >= floor)
-        & ((gap2 - along * along) * cos2 <= rest2 + _MARGIN * (gap2 + rest2))
+        & (along + radius * (1.0 + _MARGIN) >= cone.floor)
+        & (
+            (gap2 - along * along) * cone.cos2
+            <= rest2 + _MARGIN * (gap2 + rest2)
+        )
     )
 
 
@@ -258,14 +306,14 @@ def _clip_cone(p, a, cos, sin, low, high, enter, leave):
     """Clips distances [enter, leave] along all rays of a cone to a slab.
 
     Args:
-        p: Where the rays start, square to the slab.
+        p: Where the rays start, along the slab's normal.
         a: The same component of the cone's axis.
         cos: Cosine of half the opening angle; 0 or less: any direction.
         sin: Its sine.
         low: Where the slab begins.
         high: Where it ends.
-        enter: At this distance no ray is in the slabs before.
-        leave: Beyond this one none is any more.
+        enter: No ray is in the previous slabs before this distance.
+        leave: Nor beyond this one.
     """
     steepest, flattest = 1.0, -1.0
     if cos > 0.0:
@@ -289,7 +337,7 @@ def _clip_cone(p, a, cos, sin, low, high, enter, leave):
 
 @njit(cache=True, error_model="numpy", forceinline=True)
 def _enter_shape_box(shapes, s, near, q, cones, g, reach):
-    """Returns at which distance a cone's rays may meet a shape, inf: none.
+    """Returns the least distance at which a cone may meet a shape, inf: none.
 
     Args:
         shapes: See the module.
@@ -385,38 +433,27 @@ def cast_bundles(
     Returns:
         Status.
     """
-    shapes, balls, _, _, _ = scene
-    n, k = shapes.shape[0], fan.shape[1]
     if not are_poses(X_WF):
         return BAD_POSE
+    balls = scene[1]
     posed = _pose_balls(X_WF, balls)
     seen = _make_mask(posed.shape[1])
     X_WS = np.empty((3, 4))
-    stack = np.empty((2, STACK))
-    near = _Near(
-        np.empty(n, dtype=np.int64),
-        np.empty(n),
-        np.empty((n, NEAR_COLUMNS)),
-        np.empty(n, dtype=np.int64),
-        np.empty(balls.shape[0], dtype=np.int64),
-        np.empty((3, 4)),
-    )
-    rays = _Rays(
-        np.empty(k), np.empty(k, dtype=np.int64), np.empty(k), np.empty((3, k))
-    )
+    near = _make_near(scene)
+    rays = _make_rays(fan.shape[1])
     for i in range(bundles.shape[0]):
         if not which[i]:
             distance[i] = np.inf
             index[i] = -1
             continue
         _compose(X_WF, int(bundles[i, BUNDLE_FRAME]), bundles, i, X_WS)
-        reach = bundles[i, BUNDLE_RANGE]
-        _mark_balls(posed, X_WS, cones, reach, seen[0])
+        cone = _make_cone(X_WS, cones, bundles[i, BUNDLE_RANGE])
+        _mark_balls(posed, cone, seen[0])
         count = _find_near(
-            X_WF, scene, active[i], seen, X_WS, cones, reach, near, stack
+            X_WF, scene, active[i], seen, X_WS, cones, cone, near
         )
-        _cast_near(scene, near, count, fan, cones, reach, rays, stack)
-        for j in range(k):
+        _cast_near(scene, near, count, fan, cones, cone.reach, rays)
+        for j in range(fan.shape[1]):
             place = int(fan[3, j])
             index[i, place] = rays.hit[j]
             # Not -0.0.
@@ -427,50 +464,46 @@ def cast_bundles(
 
 
 @njit(cache=True, error_model="numpy", forceinline=True)
-def _aim(X_WS, cones):
-    """Returns the axis in the world of the cone around all rays."""
-    ax, ay, az = cones[0, 0], cones[0, 1], cones[0, 2]
-    return (
-        X_WS[0, 0] * ax + X_WS[0, 1] * ay + X_WS[0, 2] * az,
-        X_WS[1, 0] * ax + X_WS[1, 1] * ay + X_WS[1, 2] * az,
-        X_WS[2, 0] * ax + X_WS[2, 1] * ay + X_WS[2, 2] * az,
+def _make_near(scene):
+    """Returns the scratch space for a scene's near shapes."""
+    shapes, balls, _ = scene
+    n = shapes.shape[0]
+    return _Near(
+        np.empty(n, dtype=np.int64),
+        np.empty(n),
+        np.empty((n, NEAR_COLUMNS)),
+        np.empty(n, dtype=np.int64),
+        np.empty(balls.shape[0], dtype=np.int64),
+        np.empty((3, 4)),
+        np.empty((2, STACK)),
     )
 
 
 @njit(cache=True, error_model="numpy", forceinline=True)
-def _mark_balls(posed, X_WS, cones, reach, flags):
+def _make_rays(k):
+    """Returns the scratch space for k rays of a bundle."""
+    return _Rays(
+        np.empty(k), np.empty(k, dtype=np.int64), np.empty(k), np.empty((3, k))
+    )
+
+
+@njit(cache=True, error_model="numpy", forceinline=True)
+def _mark_balls(posed, cone, flags):
     """Marks the balls that a bundle may see.
 
     Args:
         posed: See _pose_balls.
-        X_WS: Pose of the bundle.
-        cones: See cast_bundles.
-        reach: Length of the rays.
+        cone: Around the bundle's rays.
         flags: Written: one for each ball.
     """
-    ox, oy, oz = X_WS[0, 3], X_WS[1, 3], X_WS[2, 3]
-    ux, uy, uz = _aim(X_WS, cones)
-    cos, sin = max(cones[0, 3], 0.0), cones[0, 4]
-    cos2 = cos * cos
-    floor = 0.0 if cos > 0.0 else -np.inf
     for b in range(posed.shape[1]):
         flags[b] = _may_see_ball(
-            posed[0, b] - ox,
-            posed[1, b] - oy,
-            posed[2, b] - oz,
-            posed[3, b],
-            ux,
-            uy,
-            uz,
-            cos2,
-            sin,
-            floor,
-            reach,
+            cone, posed[0, b], posed[1, b], posed[2, b], posed[3, b]
         )
 
 
 @njit(cache=True, error_model="numpy", forceinline=True)
-def _find_near(X_WF, scene, active, seen, X_WS, cones, reach, near, stack):
+def _find_near(X_WF, scene, active, seen, X_WS, cones, cone, near):
     """Finds the shapes that a bundle may see, the nearest first.
 
     Args:
@@ -480,22 +513,16 @@ def _find_near(X_WF, scene, active, seen, X_WS, cones, reach, near, stack):
         seen: Flags of the balls that it may see, see _make_mask.
         X_WS: Pose of the bundle.
         cones: See cast_bundles.
-        reach: Length of the rays.
+        cone: Around all rays, in the world.
         near: Written, see _Near.
-        stack: Scratch space, shape (2, STACK).
 
     Returns:
         How many they are.
     """
-    shapes, balls, planes, nodes, triangles = scene
+    shapes, balls, faces = scene
     flags, words = seen
     pending = near.pending
-    ox, oy, oz = X_WS[0, 3], X_WS[1, 3], X_WS[2, 3]
-    far = max(abs(ox), max(abs(oy), abs(oz)))
-    ux, uy, uz = _aim(X_WS, cones)
-    cos, sin = max(cones[0, 3], 0.0), cones[0, 4]
-    cos2 = cos * cos
-    floor = 0.0 if cos > 0.0 else -np.inf
+    far = max(abs(cone.ox), max(abs(cone.oy), abs(cone.oz)))
     count = 0
     for w in range(words.shape[0]):
         if words[w] == 0:
@@ -511,10 +538,7 @@ def _find_near(X_WF, scene, active, seen, X_WS, cones, reach, near, stack):
                 members = int(balls[pending[top], BALL_COUNT])
                 for c in range(first, first + members):
                     x, y, z = _pose_ball(X_WF, balls, c)
-                    x, y, z, r = x - ox, y - oy, z - oz, balls[c, BALL_RADIUS]
-                    if _may_see_ball(
-                        x, y, z, r, ux, uy, uz, cos2, sin, floor, reach
-                    ):
+                    if _may_see_ball(cone, x, y, z, balls[c, BALL_RADIUS]):
                         pending[top] = c
                         top += 1
                 if members > 0 or not active[first]:
@@ -523,20 +547,18 @@ def _find_near(X_WF, scene, active, seen, X_WS, cones, reach, near, stack):
                     X_WF, shapes, first, X_WS, near.X_WG, near.posed, count
                 )
                 enter = _enter_shape_box(
-                    shapes, first, near.posed, count, cones, 0, reach
+                    shapes, first, near.posed, count, cones, 0, cone.reach
                 )
                 if enter == np.inf:
                     continue
                 if enter == 0.0 and _is_in_shape(
                     shapes,
-                    planes,
-                    nodes,
-                    triangles,
+                    faces,
                     first,
                     near.posed[count],
                     far,
                     False,
-                    stack,
+                    near.stack,
                 ):
                     enter = -1.0
                 near.shape[count] = first
@@ -548,7 +570,7 @@ def _find_near(X_WF, scene, active, seen, X_WS, cones, reach, near, stack):
 
 
 @njit(cache=True, error_model="numpy", forceinline=True)
-def _cast_near(scene, near, count, fan, cones, reach, rays, stack):
+def _cast_near(scene, near, count, fan, cones, reach, rays):
     """Casts a bundle's rays, group by group, at the shapes it may see.
 
     Args:
@@ -559,16 +581,15 @@ def _cast_near(scene, near, count, fan, cones, reach, rays, stack):
         cones: See cast_bundles.
         reach: Length of the rays.
         rays: Written, see _Rays.
-        stack: Scratch space, shape (2, STACK).
     """
-    shapes, _, planes, nodes, triangles = scene
+    shapes, _, faces = scene
     best, hit, t, d = rays
     groups = cones.shape[0] - 1
     # A hit at exactly the range counts, hence the next number.
     best[:] = np.nextafter(reach, np.inf)
     hit[:] = -1
     for g in range(1, 1 + groups):
-        # Unsigned: a negative index would count from the end.
+        # Unsigned: Numba need not check for indices from the end.
         first, last = np.uint64(cones[g, 5]), np.uint64(cones[g, 6])
         for o in range(count):
             q = near.order[o]
@@ -597,18 +618,7 @@ def _cast_near(scene, near, count, fan, cones, reach, rays, stack):
                     _cast_group(shapes, s, p, d, first, last, t)
                 else:
                     _cast_group_at_faces(
-                        shapes,
-                        planes,
-                        nodes,
-                        triangles,
-                        s,
-                        p,
-                        d,
-                        first,
-                        last,
-                        best,
-                        t,
-                        stack,
+                        shapes, faces, s, p, rays, first, last, near.stack
                     )
             for j in range(first, last):
                 nearer = (t[j] < best[j]) | ((t[j] == best[j]) & (s < hit[j]))
@@ -620,7 +630,7 @@ def _cast_near(scene, near, count, fan, cones, reach, rays, stack):
 def _cast_group(shapes, s, p, d, first, last, t):
     """Casts a group of rays at a primitive shape.
 
-    A loop for each kind: a compiler takes several rays at a time.
+    One loop for each kind, so that the compiler can vectorize it.
 
     Args:
         shapes: See the module.
@@ -655,25 +665,22 @@ def _cast_group(shapes, s, p, d, first, last, t):
 
 
 @njit(cache=True, error_model="numpy", forceinline=True)
-def _cast_group_at_faces(
-    shapes, planes, nodes, triangles, s, p, d, first, last, best, t, stack
-):
+def _cast_group_at_faces(shapes, faces, s, p, rays, first, last, stack):
     """Casts a group of rays at a polytope or mesh.
 
     Args:
         shapes: See the module.
-        planes: See the module.
-        nodes: See the module.
-        triangles: See the module.
+        faces: See the module.
         s: The shape.
         p: Common origin of the rays in G, shape (3+,).
-        d: Their directions in G, shape (3, k).
+        rays: Their distances t are written, see _Rays; what is farther than
+            the best one does not count.
         first: The first ray.
         last: The one behind the last.
-        best: What is farther does not count, shape (k,).
-        t: Written: their distances, shape (k,).
         stack: Scratch space, shape (2, STACK).
     """
+    planes, nodes, triangles = faces
+    best, _, t, d = rays
     part, parts = int(shapes[s, DATA]), int(shapes[s, DATA + 1])
     if int(shapes[s, KIND]) == CONVEX:
         for j in range(first, last):
@@ -699,10 +706,14 @@ def _pose_in_shape(X_WG, p_WR, p_GR):
 
 
 @njit(cache=True, error_model="numpy", forceinline=True)
-def _may_hit_ball(x, y, z, radius, ex, ey, ez, reach):
-    """Returns whether a ray may hit a ball; without a branch."""
+def _may_hit_ball(ray, x, y, z, radius, reach):
+    """Returns whether a ray may hit a ball, centre in the world.
+
+    Without a branch, as nearly all balls are missed.
+    """
+    x, y, z = x - ray.ox, y - ray.oy, z - ray.oz
     gap2 = x * x + y * y + z * z
-    along = max(x * ex + y * ey + z * ez, 0.0)
+    along = max(x * ray.ex + y * ray.ey + z * ray.ez, 0.0)
     far = reach + radius
     return (gap2 * (1.0 - _MARGIN) - along * along <= radius * radius) & (
         gap2 * (1.0 - _MARGIN) <= far * far
@@ -710,18 +721,30 @@ def _may_hit_ball(x, y, z, radius, ex, ey, ez, reach):
 
 
 @njit(cache=True, error_model="numpy", forceinline=True)
-def _rotate(X_WG, s, axis, x, y, z, ex, ey, ez):
-    """Returns a component of two vectors of the world in shape s."""
+def _turn_ray(X_WG, s, ray):
+    """Returns a ray's origin (3) and direction (3) in shape s."""
+    px, dx = _rotate(X_WG, s, 0, ray)
+    py, dy = _rotate(X_WG, s, 1, ray)
+    pz, dz = _rotate(X_WG, s, 2, ray)
+    return px, py, pz, dx, dy, dz
+
+
+@njit(cache=True, error_model="numpy", forceinline=True)
+def _rotate(X_WG, s, axis, ray):
+    """Returns a component of a ray's origin and direction in shape s."""
     a, b, c = X_WG[s, 0, axis], X_WG[s, 1, axis], X_WG[s, 2, axis]
-    return a * x + b * y + c * z, a * ex + b * ey + c * ez
+    x = ray.ox - X_WG[s, 0, 3]
+    y = ray.oy - X_WG[s, 1, 3]
+    z = ray.oz - X_WG[s, 2, 3]
+    return a * x + b * y + c * z, a * ray.ex + b * ray.ey + c * ray.ez
 
 
 @njit(cache=True, error_model="numpy")
 def _leave_shape(shapes, planes, s, p, dx, dy, dz, far):
-    """Returns where a ray that starts inside of shape s gets out.
+    """Returns where a ray that starts inside shape s leaves it.
 
-    0 if it starts on the surface, give or take rounding. Not for meshes,
-    whose triangles are seen from both sides.
+    0 if it starts on the surface, within rounding. Not for meshes, whose
+    triangles are seen from both sides.
     """
     kind = int(shapes[s, KIND])
     a, b, c = shapes[s, SIZE], shapes[s, SIZE + 1], shapes[s, SIZE + 2]
@@ -743,20 +766,19 @@ def _leave_shape(shapes, planes, s, p, dx, dy, dz, far):
 
 
 @njit(cache=True, error_model="numpy", forceinline=True)
-def _is_in_shape(shapes, planes, nodes, triangles, s, p, far, hollow, stack):
+def _is_in_shape(shapes, faces, s, p, far, hollow, stack):
     """Returns whether a point in G is in shape s or on its surface.
 
     Args:
         shapes: See the module.
-        planes: See the module.
-        nodes: See the module.
-        triangles: See the module.
+        faces: See the module.
         s: The shape.
         p: The point, shape (3,).
         far: Its largest coordinate in the world.
         hollow: Whether meshes have no inside.
         stack: Scratch space, shape (2, STACK).
     """
+    planes, nodes, triangles = faces
     x, y, z = p[0], p[1], p[2]
     if not _is_in_box(shapes, s, x, y, z):
         return False
@@ -788,112 +810,62 @@ def cast_rays(X_WF, scene, active, row, p_WR, n_WR, max_range, hollow):
     Returns:
         (status, distance (rays,), index (rays,)).
     """
-    shapes, balls, planes, nodes, triangles = scene
+    # In one piece: a helper that takes arrays within these loops doubles the
+    # time, as Numba counts the references of each array at each call.
+    shapes, balls, (planes, nodes, triangles) = scene
     rays, n = p_WR.shape[0], shapes.shape[0]
     distance = np.full(rays, np.inf)
     index = np.full(rays, -1, dtype=np.int64)
     if not are_poses(X_WF):
         return BAD_POSE, distance, index
     posed = _pose_balls(X_WF, balls)
-    num_balls = posed.shape[1]
-    flags, words = _make_mask(num_balls)
+    flags, words = _make_mask(posed.shape[1])
     pending = np.empty(balls.shape[0], dtype=np.int64)
-    X = np.empty((3, 4))
-    X_WG = np.empty((n, 3, 4))
+    X, X_WG = np.empty((3, 4)), np.empty((n, 3, 4))
     is_posed = np.zeros(n, dtype=np.bool_)
-    p = np.empty(3)
-    stack = np.empty((2, STACK))
+    p, stack = np.empty(3), np.empty((2, STACK))
     for i in range(rays):
-        ox, oy, oz = p_WR[i, 0], p_WR[i, 1], p_WR[i, 2]
-        ex, ey, ez = n_WR[i, 0], n_WR[i, 1], n_WR[i, 2]
-        length = np.sqrt(ex * ex + ey * ey + ez * ez)
-        if not (
-            abs(length - 1.0) <= 1e-6 and abs(ox) + abs(oy) + abs(oz) < FAR
-        ):
+        is_good, ray = _make_ray(p_WR, n_WR, i)
+        if not is_good:
             return BAD_RAY, distance, index
-        ex, ey, ez = ex / length, ey / length, ez / length
-        far = max(abs(ox), max(abs(oy), abs(oz)))
         reach = max_range[i]
-        for b in range(num_balls):
-            flags[b] = _may_hit_ball(
-                posed[0, b] - ox,
-                posed[1, b] - oy,
-                posed[2, b] - oz,
-                posed[3, b],
-                ex,
-                ey,
-                ez,
-                reach,
-            )
+        far = max(abs(ray.ox), max(abs(ray.oy), abs(ray.oz)))
+        for b in range(posed.shape[1]):
+            x, y, z, r = posed[0, b], posed[1, b], posed[2, b], posed[3, b]
+            flags[b] = _may_hit_ball(ray, x, y, z, r, reach)
         # A hit at exactly the range counts, hence the next number.
-        best = np.nextafter(reach, np.inf)
-        hit = -1
+        best, hit = np.nextafter(reach, np.inf), -1
         for w in range(words.shape[0]):
             if words[w] == 0:
                 continue
-            for b in range(8 * w, min(8 * w + 8, num_balls)):
+            for b in range(8 * w, min(8 * w + 8, posed.shape[1])):
                 if flags[b] == 0:
                     continue
                 pending[0] = 1 + b
                 top = 1
                 while top > 0:
                     top -= 1
-                    ball = pending[top]
-                    s = int(balls[ball, BALL_FIRST])
-                    count = int(balls[ball, BALL_COUNT])
-                    if count > 0:
-                        for c in range(s, s + count):
-                            x, y, z = _pose_ball(X_WF, balls, c)
-                            if _may_hit_ball(
-                                x - ox,
-                                y - oy,
-                                z - oz,
-                                balls[c, BALL_RADIUS],
-                                ex,
-                                ey,
-                                ez,
-                                best,
-                            ):
-                                pending[top] = c
-                                top += 1
-                        continue
-                    if not active[row[i], s]:
+                    s = int(balls[pending[top], BALL_FIRST])
+                    count = int(balls[pending[top], BALL_COUNT])
+                    for c in range(s, s + count):
+                        x, y, z = _pose_ball(X_WF, balls, c)
+                        r = balls[c, BALL_RADIUS]
+                        if _may_hit_ball(ray, x, y, z, r, best):
+                            pending[top] = c
+                            top += 1
+                    if count > 0 or not active[row[i], s]:
                         continue
                     if not is_posed[s]:
                         _compose(X_WF, int(shapes[s, FRAME]), shapes, s, X)
                         X_WG[s] = X
                         is_posed[s] = True
-                    x = ox - X_WG[s, 0, 3]
-                    y = oy - X_WG[s, 1, 3]
-                    z = oz - X_WG[s, 2, 3]
-                    px, dx = _rotate(X_WG, s, 0, x, y, z, ex, ey, ez)
-                    py, dy = _rotate(X_WG, s, 1, x, y, z, ex, ey, ez)
-                    pz, dz = _rotate(X_WG, s, 2, x, y, z, ex, ey, ez)
+                    px, py, pz, dx, dy, dz = _turn_ray(X_WG, s, ray)
                     may_be_inside = _is_in_box(shapes, s, px, py, pz)
-                    kind = int(shapes[s, KIND])
-                    part = int(shapes[s, DATA])
-                    parts = int(shapes[s, DATA + 1])
+                    kind, size, part, parts = _read_shape(shapes, s)
                     if kind < CONVEX:
-                        size_x = shapes[s, SIZE]
-                        size_y = shapes[s, SIZE + 1]
-                        size_z = shapes[s, SIZE + 2]
-                        if may_be_inside and is_in_primitive(
-                            kind, px, py, pz, size_x, size_y, size_z
-                        ):
-                            t = 0.0
-                        else:
-                            t = cast_primitive(
-                                kind,
-                                px,
-                                py,
-                                pz,
-                                dx,
-                                dy,
-                                dz,
-                                size_x,
-                                size_y,
-                                size_z,
-                            )
+                        t = _cast_primitive(
+                            kind, size, px, py, pz, dx, dy, dz, may_be_inside
+                        )
                     elif kind == CONVEX:
                         p[0], p[1], p[2] = px, py, pz
                         if may_be_inside and is_inside_convex(
@@ -913,27 +885,54 @@ def cast_rays(X_WF, scene, active, row, p_WR, n_WR, max_range, hollow):
                             t = 0.0
                         else:
                             # The next number: an equal hit may count.
+                            limit = np.nextafter(best, np.inf)
                             t, _ = cast_mesh(
-                                nodes,
-                                triangles,
-                                part,
-                                p,
-                                dx,
-                                dy,
-                                dz,
-                                np.nextafter(best, np.inf),
+                                nodes, triangles, part, p, dx, dy, dz, limit,
                                 stack,
-                            )
+                            )  # fmt: skip
                     if hollow and t == 0.0 and kind != MESH:
                         p[0], p[1], p[2] = px, py, pz
                         t = _leave_shape(shapes, planes, s, p, dx, dy, dz, far)
                     if t < best or (t == best and s < hit):
-                        best = t
-                        hit = s
+                        best, hit = t, s
         if hit >= 0:
             distance[i] = abs(best)  # Not -0.0.
             index[i] = hit
     return OK, distance, index
+
+
+@njit(cache=True, error_model="numpy", forceinline=True)
+def _make_ray(p_WR, n_WR, i):
+    """Returns (is_good, ray): whether ray i is valid, and it, normalized."""
+    ox, oy, oz = p_WR[i, 0], p_WR[i, 1], p_WR[i, 2]
+    ex, ey, ez = n_WR[i, 0], n_WR[i, 1], n_WR[i, 2]
+    length = np.sqrt(ex * ex + ey * ey + ez * ez)
+    # NaN fails each comparison.
+    is_good = (abs(length - 1.0) <= _TOLERANCE) & (
+        abs(ox) + abs(oy) + abs(oz) < FAR
+    )
+    return is_good, _Ray(ox, oy, oz, ex / length, ey / length, ez / length)
+
+
+@njit(cache=True, error_model="numpy", forceinline=True)
+def _read_shape(shapes, s):
+    """Returns kind, sizes (3) and data (2) of a shape."""
+    a, b, c = shapes[s, SIZE], shapes[s, SIZE + 1], shapes[s, SIZE + 2]
+    return (
+        int(shapes[s, KIND]),
+        (a, b, c),
+        int(shapes[s, DATA]),
+        int(shapes[s, DATA + 1]),
+    )
+
+
+@njit(cache=True, error_model="numpy", forceinline=True)
+def _cast_primitive(kind, size, px, py, pz, dx, dy, dz, may_be_inside):
+    """Returns the distance to a primitive shape along a ray, see _turn_ray."""
+    a, b, c = size
+    if may_be_inside and is_in_primitive(kind, px, py, pz, a, b, c):
+        return 0.0
+    return cast_primitive(kind, px, py, pz, dx, dy, dz, a, b, c)
 
 
 @njit(cache=True, error_model="numpy")
@@ -966,7 +965,7 @@ def calc_normals(X_WF, scene, p_WR, n_WR, distance, index):
     Returns:
         Normals in the world, shape (rays, 3).
     """
-    shapes, _, planes, nodes, triangles = scene
+    shapes, _, faces = scene
     rays = p_WR.shape[0]
     normals = np.full((rays, 3), np.nan)
     X = np.empty((3, 4))
@@ -982,9 +981,7 @@ def calc_normals(X_WF, scene, p_WR, n_WR, distance, index):
         dx = X[0, 0] * n_WR[i, 0] + X[1, 0] * n_WR[i, 1] + X[2, 0] * n_WR[i, 2]
         dy = X[0, 1] * n_WR[i, 0] + X[1, 1] * n_WR[i, 1] + X[2, 1] * n_WR[i, 2]
         dz = X[0, 2] * n_WR[i, 0] + X[1, 2] * n_WR[i, 1] + X[2, 2] * n_WR[i, 2]
-        x, y, z = _find_hit_normal(
-            shapes, planes, nodes, triangles, s, p, dx, dy, dz, t, stack
-        )
+        x, y, z = _find_hit_normal(shapes, faces, s, p, (dx, dy, dz), t, stack)
         length = np.sqrt(x * x + y * y + z * z)
         for j in range(3):
             normals[i, j] = (X[j, 0] * x + X[j, 1] * y + X[j, 2] * z) / length
@@ -992,32 +989,36 @@ def calc_normals(X_WF, scene, p_WR, n_WR, distance, index):
 
 
 @njit(cache=True, error_model="numpy", forceinline=True)
-def _find_hit_normal(
-    shapes, planes, nodes, triangles, s, p, dx, dy, dz, t, stack
-):
+def _find_hit_normal(shapes, faces, s, p, d, t, stack):
     """Returns the direction of a shape's normal, in G, that faces a ray.
 
-    NaN if there is no hit. A ray that starts inside of a shape but for
-    meshes, and hits it farther on, comes out of it there.
+    NaN if there is no hit. A ray that starts inside a shape other than a
+    mesh, and hits it farther on, leaves it there.
+
+    Args:
+        shapes: See the module.
+        faces: See the module.
+        s: The shape.
+        p: Origin of the ray in G, shape (3,).
+        d: Its direction in G, a tuple (3).
+        t: Distance of the hit, m.
+        stack: Scratch space, shape (2, STACK).
     """
-    kind = int(shapes[s, KIND])
-    part, parts = int(shapes[s, DATA]), int(shapes[s, DATA + 1])
+    dx, dy, dz = d
+    kind, size, part, parts = _read_shape(shapes, s)
     if kind == MESH:
+        _, nodes, triangles = faces
         _, found = cast_mesh(
             nodes, triangles, part, p, dx, dy, dz, np.inf, stack
         )
         if found < 0:
             return np.nan, np.nan, np.nan
         return _find_triangle_normal(triangles, found, dx, dy, dz)
-    side = (
-        -1.0
-        if _is_in_shape(
-            shapes, planes, nodes, triangles, s, p, 0.0, True, stack
-        )
-        else 1.0
-    )
+    inside = _is_in_shape(shapes, faces, s, p, 0.0, True, stack)
+    side = -1.0 if inside else 1.0
     if kind == CONVEX:
-        if side < 0.0:
+        planes, _, _ = faces
+        if inside:
             _, found = leave_convex(planes, part, parts, p, dx, dy, dz)
         else:
             _, found = cast_convex(planes, part, parts, p, dx, dy, dz)
@@ -1025,16 +1026,9 @@ def _find_hit_normal(
             return np.nan, np.nan, np.nan
         x, y, z = planes[found, 0], planes[found, 1], planes[found, 2]
     else:
+        x, y, z = p[0] + t * dx, p[1] + t * dy, p[2] + t * dz
+        a, b, c = size
         x, y, z = find_normal(
-            kind,
-            shapes[s, SIZE],
-            shapes[s, SIZE + 1],
-            shapes[s, SIZE + 2],
-            p[0] + t * dx,
-            p[1] + t * dy,
-            p[2] + t * dz,
-            side * dx,
-            side * dy,
-            side * dz,
+            kind, a, b, c, x, y, z, side * dx, side * dy, side * dz
         )
     return side * x, side * y, side * z

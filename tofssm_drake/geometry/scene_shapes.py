@@ -35,10 +35,10 @@ class SceneShapes:
 
     geometry_ids: list[GeometryId]
     """The geometries, in the order of the tables."""
-    tables: tuple[np.ndarray, ...]
+    tables: tuple
     """See `ray_kernels`."""
     descriptions: list[str]
-    """What each of them was when it was read, see `describe_geometry`."""
+    """Each one's description when it was read, see `describe_geometry`."""
     has_inside: np.ndarray
     """Whether a ray can start inside of it, bool, shape (n,)."""
     skipped: dict[GeometryId, str]
@@ -115,7 +115,7 @@ def read_shapes(
     )
     return SceneShapes(
         geometry_ids=kept,
-        tables=(table, balls, *pool.merge()),
+        tables=(table, balls, pool.merge()),
         descriptions=descriptions,
         has_inside=np.array(has_inside, dtype=bool),
         skipped=skipped,
@@ -123,7 +123,7 @@ def read_shapes(
 
 
 def describe_geometry(inspector: SceneGraphInspector, geometry_id: GeometryId):
-    """Returns a geometry's shape and a text that tells it from others.
+    """Returns a geometry's shape and a text that identifies shape and pose.
 
     Raises:
         UserError: If it is deformable.

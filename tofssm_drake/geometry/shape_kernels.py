@@ -3,9 +3,9 @@
 All shapes are cast in their own frame G, the canonical frame of Drake's
 shape specifications. A shape is a closed set of points: the distance along a
 ray is the smallest t >= 0 with p + t d in the shape. The casts expect an
-origin outside of the shape; inf is a miss.
+origin outside the shape; inf is a miss.
 
-They choose values instead of branches, so that a compiler can cast several
+They select values instead of branching, so that the compiler can cast several
 rays at a time.
 """
 
@@ -26,14 +26,14 @@ HALF_SPACE = 4
 ELLIPSOID = 5
 """Sizes: the semi-axes a, b, c."""
 
-# A ray this steep runs along the axis: it can not leave the tube sideways.
+# A ray this steep runs along the axis: it cannot leave the tube sideways.
 _PARALLEL = 1e-290
 _MARGIN = 1e-9
 
 
 @njit(cache=True, error_model="numpy", forceinline=True)
 def cast_sphere(px, py, pz, dx, dy, dz, radius):
-    """Returns the distance of a sphere about the origin."""
+    """Returns the distance to a sphere about the origin."""
     along = -(px * dx + py * dy + pz * dz)
     # Of the ray's point nearest the centre: this keeps its digits where the
     # ray grazes.
@@ -45,8 +45,8 @@ def cast_sphere(px, py, pz, dx, dy, dz, radius):
 
 @njit(cache=True, error_model="numpy", forceinline=True)
 def cast_ellipsoid(px, py, pz, dx, dy, dz, a, b, c):
-    """Returns the distance of an ellipsoid with these semi-axes."""
-    # Scaled to the unit sphere; the direction then is no longer a unit.
+    """Returns the distance to an ellipsoid with these semi-axes."""
+    # Scaled to the unit sphere; the direction then no longer has unit length.
     ex, ey, ez = dx / a, dy / b, dz / c
     scale = np.sqrt(ex * ex + ey * ey + ez * ez)
     return (
@@ -61,8 +61,8 @@ def cast_ellipsoid(px, py, pz, dx, dy, dz, a, b, c):
 def _clip_tube(px, py, dx, dy, radius):
     """Returns (enter, leave, hits, parallel) of a tube along z.
 
-    Enter and leave may be negative. A parallel ray is in the tube always
-    (hits) or never, and enter and leave mean nothing.
+    Enter and leave may be negative. A parallel ray is always in the tube
+    (hits) or never; enter and leave are then meaningless.
     """
     slope2 = dx * dx + dy * dy
     parallel = slope2 < _PARALLEL
@@ -84,7 +84,7 @@ def _clip_tube(px, py, dx, dy, radius):
 
 @njit(cache=True, error_model="numpy", forceinline=True)
 def cast_capsule(px, py, pz, dx, dy, dz, radius, half):
-    """Returns the distance of a capsule along z."""
+    """Returns the distance to a capsule along z."""
     t, _, hits, parallel = _clip_tube(px, py, dx, dy, radius)
     z = -dz if parallel else pz + t * dz
     # If the tube is entered beyond one end, only that end can be met.
@@ -99,7 +99,7 @@ def cast_capsule(px, py, pz, dx, dy, dz, radius, half):
 @njit(cache=True, error_model="numpy", forceinline=True)
 def _clip_slab(p, d, half, enter, leave):
     """Clips the interval [enter, leave] of a ray to |p + t d| <= half."""
-    # 0 * inf in the general formula; the ray is in the slab or never.
+    # The general formula has 0 * inf; the ray is always in the slab or never.
     never = (d == 0.0) & (abs(p) > half)
     always = (d == 0.0) & (abs(p) <= half)
     first = (-half - p) / d
@@ -112,7 +112,7 @@ def _clip_slab(p, d, half, enter, leave):
 
 @njit(cache=True, error_model="numpy", forceinline=True)
 def cast_cylinder(px, py, pz, dx, dy, dz, radius, half):
-    """Returns the distance of a cylinder along z."""
+    """Returns the distance to a cylinder along z."""
     enter, leave = _clip_slab(pz, dz, half, 0.0, np.inf)
     first, last, hits, parallel = _clip_tube(px, py, dx, dy, radius)
     enter = enter if parallel else max(enter, first)
@@ -122,7 +122,7 @@ def cast_cylinder(px, py, pz, dx, dy, dz, radius, half):
 
 @njit(cache=True, error_model="numpy", forceinline=True)
 def cast_box(px, py, pz, dx, dy, dz, hx, hy, hz):
-    """Returns the distance of a box with these half sizes."""
+    """Returns the distance to a box with these half sizes."""
     enter, leave = _clip_slab(px, dx, hx, 0.0, np.inf)
     enter, leave = _clip_slab(py, dy, hy, enter, leave)
     enter, leave = _clip_slab(pz, dz, hz, enter, leave)
@@ -131,7 +131,7 @@ def cast_box(px, py, pz, dx, dy, dz, hx, hy, hz):
 
 @njit(cache=True, error_model="numpy", forceinline=True)
 def cast_half_space(pz, dz):
-    """Returns the distance of the half-space below z = 0."""
+    """Returns the distance to the half-space below z = 0."""
     return -pz / dz if dz < 0.0 else np.inf
 
 
@@ -171,7 +171,7 @@ def cast_primitive(kind, px, py, pz, dx, dy, dz, a, b, c):
 
 @njit(cache=True, error_model="numpy")
 def leave_primitive(kind, px, py, pz, dx, dy, dz, a, b, c):
-    """Returns the distance at which a ray that starts inside gets out."""
+    """Returns the distance at which a ray that starts inside leaves."""
     if kind == SPHERE:
         return _leave_sphere(px, py, pz, dx, dy, dz, a)
     if kind == CAPSULE:
@@ -219,7 +219,7 @@ def _leave_cylinder(px, py, pz, dx, dy, dz, radius, half):
 def find_normal(kind, a, b, c, x, y, z, dx, dy, dz):
     """Returns the direction of a primitive's normal at (x, y, z), in G.
 
-    On an edge there are several; the one that faces the ray most is taken.
+    On an edge there are several: returns the one that faces the ray most.
     """
     if kind == SPHERE:
         return x, y, z

@@ -1,7 +1,7 @@
 """Triangles of Drake's Mesh shapes.
 
-Drake's distance queries replace many a mesh by its convex hull. What is seen
-along a ray is the surface itself, so it is read here: STL and COLLADA by
+Drake's distance queries replace most meshes by their convex hulls. A ray sees
+the surface itself, so it is read here: STL and COLLADA by
 trimesh, tetrahedral VTK by Drake, OBJ and glTF by readers that are stricter
 than either (see `obj_file`, `gltf_file`).
 """
@@ -13,6 +13,8 @@ from pathlib import Path
 from urllib.parse import unquote
 from xml.etree import ElementTree
 
+from collada import Collada
+from collada.common import DaeBrokenRefError, DaeError, DaeUnsupportedError
 import numpy as np
 from pydrake.geometry import (
     AddRigidHydroelasticProperties,
@@ -33,6 +35,10 @@ from tofssm_drake.geometry.triangle_tree import (
     TriangleTree,
     make_triangle_tree,
 )
+from tofssm_drake.geometry.vtk_file import check_vtk
+
+# What a COLLADA file may have besides its surface, such as lost textures.
+_IGNORED = [DaeBrokenRefError, DaeUnsupportedError]
 
 
 @dc.dataclass(frozen=True, eq=False, kw_only=True)
@@ -53,14 +59,14 @@ def make_triangle_mesh(vertices: np.ndarray, faces: np.ndarray):
         faces: Indices of each triangle's corners, shape (n, 3).
 
     Raises:
-        ValueError: If there is no triangle, or a vertex is not finite.
+        ValueError: If there is no triangle, a corner is not a vertex, or a
+            vertex is not finite.
     """
     vertices = np.asarray(vertices, dtype=float)
     faces = np.asarray(faces, dtype=np.int64)
     if len(faces) == 0:
         raise ValueError("it has no triangle")
-    if not np.isfinite(vertices[faces]).all():
-        raise ValueError("it has a vertex that is not finite")
+    _check_corners(vertices, faces)
     faces, is_solid, welded = orient_faces(vertices, faces)
     surface = make_triangle_tree(vertices, faces)
     solid = surface if is_solid.any() else None
@@ -70,7 +76,7 @@ def make_triangle_mesh(vertices: np.ndarray, faces: np.ndarray):
 
 
 def describe_mesh_source(mesh) -> str:
-    """Returns a text that differs when another file or scale is used."""
+    """Returns a text that identifies the file and the scale."""
     source: MeshSource = mesh.source()
     if source.is_path():
         what = str(source.path())
@@ -81,7 +87,7 @@ def describe_mesh_source(mesh) -> str:
             try:
                 digest.update(_read_supporting_file(file))
             except OSError:
-                # Who needs the file tells which mesh lacks it.
+                # The reader that needs the file names it.
                 digest.update(b"missing")
         what = digest.hexdigest()
     scale = np.asarray(mesh.scale3(), dtype=float)
@@ -199,7 +205,41 @@ def _read_stl(mesh: Mesh):
 def _read_dae(mesh: Mesh):
     """Reads COLLADA, in its own unit of length. Its axes stay as they are."""
     contents = _read_source(mesh.source())
+    _check_dae(contents)
     return _read_with_trimesh(mesh, "dae", unit=_find_dae_unit(contents))
+
+
+def _check_dae(contents: bytes) -> None:
+    """Checks vertices and indices: trimesh drops a broken part silently."""
+    try:
+        document = Collada(io.BytesIO(contents), ignore=_IGNORED)
+    except DaeError as error:
+        raise ValueError(f"it is not as its format demands: {error}") from error
+    for geometry in document.geometries:
+        for primitive in geometry.primitives:
+            if primitive.vertex_index is not None:
+                _check_corners(primitive.vertex, primitive.vertex_index)
+    # pycollada takes 0 for NaN.
+    for mesh in ElementTree.fromstring(contents).iterfind(".//{*}mesh"):
+        inputs = mesh.iterfind("./{*}vertices/{*}input[@semantic='POSITION']")
+        for source in [i.get("source", "").removeprefix("#") for i in inputs]:
+            numbers = mesh.findtext(
+                f"./{{*}}source[@id='{source}']/{{*}}float_array", ""
+            )
+            if not np.isfinite(np.array(numbers.split(), dtype=float)).all():
+                raise ValueError("it has a vertex that is not finite")
+
+
+def _check_corners(vertices: np.ndarray, corners: np.ndarray) -> None:
+    """Checks that all vertices are finite and all corners are vertices."""
+    bad = corners[(corners < 0) | (corners >= len(vertices))]
+    if bad.size > 0:
+        raise ValueError(
+            f"the index {bad.flat[0]} is not one of its"
+            f" {len(vertices)} vertices"
+        )
+    if not np.isfinite(vertices[corners]).all():
+        raise ValueError("it has a vertex that is not finite")
 
 
 def _find_dae_unit(contents: bytes) -> float:
@@ -217,22 +257,27 @@ def _read_with_trimesh(mesh: Mesh, file_type: str, *, unit: float):
         )
         surface = scene.to_mesh()
     except Exception as error:
-        # Any may come of a broken file.
+        # A broken file may raise anything.
         raise ValueError(f"it is not as its format demands: {error}") from error
     return surface.vertices * (unit * mesh.scale3()), surface.faces
 
 
 def _read_vtk(mesh):
     # The surface of a tetrahedral mesh is what Drake makes of it for rigid
-    # contact; its reader is not bound by itself.
+    # contact; its reader has no Python binding of its own.
+    check_vtk(_read_source(mesh.source()))
     scene_graph = SceneGraph()
     instance = GeometryInstance(RigidTransform(), mesh, "mesh")
     properties = ProximityProperties()
     AddRigidHydroelasticProperties(1.0, properties)
     instance.set_proximity_properties(properties)
-    geometry_id = scene_graph.RegisterAnchoredGeometry(
-        scene_graph.RegisterSource("reader"), instance
-    )
+    try:
+        geometry_id = scene_graph.RegisterAnchoredGeometry(
+            scene_graph.RegisterSource("reader"), instance
+        )
+    except SystemExit as error:
+        # What pydrake makes of an assertion that fails: bad binary cells.
+        raise ValueError(f"it is not as its format demands: {error}") from error
     inspector = scene_graph.model_inspector()
     return _unpack_surface(inspector.maybe_get_hydroelastic_mesh(geometry_id))
 

@@ -17,8 +17,8 @@ class TriangleTree:
     """Triangles, sorted into a tree of axis-aligned boxes.
 
     A row of `nodes` is a box and two whole numbers (first, count). With a
-    count it is a leaf and has so many triangles from the first on, else it
-    has the nodes first and first + 1 as children. Node 0 is the root.
+    count it is a leaf with that many triangles from the first on, else its
+    children are the nodes first and first + 1. Node 0 is the root.
     """
 
     triangles: np.ndarray
@@ -164,7 +164,7 @@ def _build_tree(low, high, centre):
                     centre, order, start, end, first, scale, bins, right, box
                 )
             if middle == start or middle == end:
-                # No plane parts the centres: halve the list as it is.
+                # No plane separates the centres: halve the list as it is.
                 middle = (start + end) // 2
             links[node, 0], links[node, 1] = used, 0
             starts[used], ends[used] = start, middle
@@ -189,7 +189,7 @@ def _bound(low, high, order, start, end, bounds):
 def _split(centre, order, start, end, first, scale, bins, right, box):
     """Sorts triangles to either side of the cheapest plane.
 
-    Returns where the second side begins; the start if no plane parts them.
+    Returns where the second side begins; the start if no plane separates them.
     """
     best_axis, best_plane, best_cost = -1, 0.0, np.inf
     for axis in range(3):
