@@ -2,7 +2,7 @@
 
 A message is never changed after it was made: its arrays are read-only and a
 copy of it is the message itself, so that Drake's caches, logs and cloned
-Contexts cost nothing and can not disagree.
+Contexts cost nothing and cannot disagree.
 
 `n` stands for the number of sensors of a ring, `m` for the number of links
 that are watched (three for rings: RINGS).

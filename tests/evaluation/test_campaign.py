@@ -230,7 +230,7 @@ class TestFolder(unittest.TestCase):
         self.folder.write_text("in the way")
         with self.assertRaises(UserError) as caught:
             mut.open_folder(self.folder, make_plan())
-        self.assertIn("--out: can not write", str(caught.exception))
+        self.assertIn("--out: cannot write", str(caught.exception))
 
 
 class TestResults(unittest.TestCase):

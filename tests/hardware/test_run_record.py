@@ -232,7 +232,7 @@ class TestRunRecord(unittest.TestCase):
         )
 
     def test_a_full_disk_is_told_by_the_next_tick(self):
-        with self.assertRaisesRegex(UserError, "--record: /dev/full: can not"):
+        with self.assertRaisesRegex(UserError, "--record: /dev/full: cannot"):
             mut.RunRecorder(Path("/dev/full"), {})
         limits = resource.getrlimit(resource.RLIMIT_FSIZE)
         self.addCleanup(resource.setrlimit, resource.RLIMIT_FSIZE, limits)
@@ -329,10 +329,10 @@ class TestRunRecord(unittest.TestCase):
                 time.sleep(0.01)
 
     def test_what_is_no_record(self):
-        with self.assertRaisesRegex(UserError, "can not read"):
+        with self.assertRaisesRegex(UserError, "cannot read"):
             mut.RunReader(self.path)
         self.path.write_bytes(b"something else")
         with self.assertRaisesRegex(UserError, "no MCAP file"):
             mut.RunReader(self.path)
-        with self.assertRaisesRegex(UserError, "can not write"):
+        with self.assertRaisesRegex(UserError, "cannot write"):
             mut.RunRecorder(self.path.parent / "none" / "x.mcap", {})

@@ -445,7 +445,7 @@ class TestBadInput:
                 continue
             assert run_in_process(*SMALL, "--out", out, report=True) == 2
             (line,) = capfd.readouterr().err.splitlines()
-            assert line.startswith("tofssm: --out: can not write into")
+            assert line.startswith("tofssm: --out: cannot write into")
             assert f"{path} is no folder" in line
         assert list_tree(tmp_path) == before
 

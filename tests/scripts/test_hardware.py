@@ -427,7 +427,7 @@ class TestHardware(unittest.TestCase):
         ):
             code, out, err = run_hardware(server, "--record", path)
             self.assertEqual((code, robot.slider), (1, 0.0), err)
-        self.assertIn("can not write it: File too large; slider set to 0", out)
+        self.assertIn("cannot write it: File too large; slider set to 0", out)
         self.assertNotIn("Traceback", out + err)
         self.assertGreater(len(list(RunReader(path).read_ticks())), 20)
 

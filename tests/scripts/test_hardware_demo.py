@@ -15,9 +15,9 @@ from tofssm_drake.scripts.main import run
         (("--ssm", "zz"), "--ssm: 'zz' is unknown, use one of"),
         (("--duration", "-1"), "--duration: must be 0 or more, got -1"),
         (("--duration", "nan"), "--duration: must be 0 or more, got nan"),
-        (("--out", "file"), "--out: can not write into file: File exists"),
-        (("--out", "file/out"), "--out: can not write into file/out: Not a"),
-        (("--out", 300 * "o"), f"--out: can not write into {300 * 'o'}: File"),
+        (("--out", "file"), "--out: cannot write into file: File exists"),
+        (("--out", "file/out"), "--out: cannot write into file/out: Not a"),
+        (("--out", 300 * "o"), f"--out: cannot write into {300 * 'o'}: File"),
         (("--out", "full"), "--out: full/run.mcap is a folder"),
     ],
 )

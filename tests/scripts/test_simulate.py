@@ -338,7 +338,7 @@ BAD_INPUT = {
     ),
     "missing_scenario_file": (
         ("--scenario-file", "nowhere.yaml"),
-        "nowhere.yaml: can not read the scenarios: No such file",
+        "nowhere.yaml: cannot read the scenarios: No such file",
     ),
     "scenario_file_is_a_folder": (("--scenario-file", "."), "directory"),
     "unknown_scenario": (
@@ -428,7 +428,7 @@ BAD_INPUT = {
     "empty_graphviz": (("--graphviz", ""), "must not be empty"),
     "graphviz_can_not_be_written": (
         ("--graphviz", "/proc/x.dot"),
-        "--graphviz: can not write /proc/x.dot: No such file",
+        "--graphviz: cannot write /proc/x.dot: No such file",
     ),
     "graphviz_is_a_folder": (
         ("--graphviz", ("x.dot/", None)),
@@ -495,7 +495,7 @@ class TestBadInput:
         # No test by permissions: root may write everywhere.
         (tmp_path / "file").write_text("in the way")
         code = run(*SHORT, "--out", tmp_path / out)
-        check_mistake(code, capfd.readouterr(), "--out: can not write into")
+        check_mistake(code, capfd.readouterr(), "--out: cannot write into")
         assert list_tree(tmp_path) == ["file"]
         assert (tmp_path / "file").read_text() == "in the way"
 

@@ -5,7 +5,7 @@ t + offset + delay, with a delay of at least that of the fastest frames. Late
 frames therefore say nothing about the offset, and early ones everything: the
 offset is the least of host minus device time, which may rise again no faster
 than two clocks can drift apart. Whatever is queued up on the way then shows
-as an old sample, and can not pass for a slow clock.
+as an old sample, and cannot pass for a slow clock.
 """
 
 import dataclasses as dc
@@ -45,7 +45,7 @@ class ClockMap:
         """Returns the host's time at a device time, s.
 
         It is later than the truth by the delay of the fastest frames, which
-        can not be told from an offset.
+        cannot be told from an offset.
         """
         return device + self.offset
 

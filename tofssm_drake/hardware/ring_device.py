@@ -101,7 +101,7 @@ class UdpSender:
             if error.errno != errno.EADDRNOTAVAIL:
                 self._socket.close()
                 raise UserError(
-                    f"{self.target}: can not send there: {error.strerror}"
+                    f"{self.target}: cannot send there: {error.strerror}"
                 ) from None
 
     def send(self, frame: RingFrame, is_damaged: bool = False) -> bool:

@@ -187,7 +187,7 @@ class UdpTransport:
         """Binds the socket.
 
         Raises:
-            UserError: It can not be bound.
+            UserError: It cannot be bound.
         """
         self.source = str(address)
         self.foreign = 0
@@ -210,7 +210,7 @@ class UdpTransport:
         except OSError as error:
             self._socket.close()
             raise UserError(
-                f"{self.source}: can not listen there: {error.strerror}"
+                f"{self.source}: cannot listen there: {error.strerror}"
             ) from None
         self.port = self._socket.getsockname()[1]
 
@@ -221,7 +221,7 @@ class UdpTransport:
     def receive(self) -> list[bytes]:
         """Returns the datagrams of our senders that wait, oldest first."""
         datagrams = []
-        # Bounded, so that a flood of one sender can not starve the others.
+        # Bounded, so that a flood of one sender cannot starve the others.
         for _ in range(64):
             try:
                 data, sender = self._socket.recvfrom(_LONGEST_READ)
@@ -251,7 +251,7 @@ class SerialTransport:
         """Opens the line and throws away what lies in its buffer.
 
         Raises:
-            UserError: It can not be opened.
+            UserError: It cannot be opened.
         """
         self.source = str(address)
         try:
@@ -271,7 +271,7 @@ class SerialTransport:
                     else "it is no serial line"
                 )
             raise UserError(
-                f"{self.source}: can not open it: {reason}"
+                f"{self.source}: cannot open it: {reason}"
             ) from None
 
     def fileno(self) -> int:
@@ -300,7 +300,7 @@ def open_transport(address: RingAddress) -> UdpTransport | SerialTransport:
     """Opens what an address names.
 
     Raises:
-        UserError: It can not be opened.
+        UserError: It cannot be opened.
     """
     if isinstance(address, UdpAddress):
         return UdpTransport(address)
@@ -329,7 +329,7 @@ class RingLink:
             tap: Sees all that comes, e.g. to record it.
 
         Raises:
-            UserError: An address can not be opened, or is there twice.
+            UserError: An address cannot be opened, or is there twice.
         """
         require_distinct(addresses)
         self._decoder = decoder

@@ -78,7 +78,7 @@ class RingLinkConfig:
     max_drift: float = 200e-6
 
     # From the end of a scan to the arrival of its frame, at least, s
-    # (*assumed*: 48 bytes at 921600 baud and a USB packet). It can not be
+    # (*assumed*: 48 bytes at 921600 baud and a USB packet). It cannot be
     # measured; samples are taken for that much older than they look.
     min_delay: float = 0.001
 
@@ -320,7 +320,7 @@ class RingReceiver:
             - 1e-3 * frame.age_ms
             - self._half_budget
         )
-        # How old it is can not be told any more.
+        # How old it is cannot be told any more.
         sensor_time[frame.age_ms == _SATURATED_AGE] = -np.inf
         return sensor_time
 

@@ -119,7 +119,7 @@ class RobotClock:
             self._origin = begin - report.timestamp
             self._map = start_clock_map(device=begin, host=report.time)
             self.rate = ClockRate()
-        # Never back: the Simulator can not follow.
+        # Never back: the Simulator cannot follow.
         time = max(self._snap(self._origin + report.timestamp), self.time)
         if time > self._map.device:
             self._map = update_clock_map(

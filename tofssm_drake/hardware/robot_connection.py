@@ -31,7 +31,7 @@ class RtdeStatus:
     missed: int = 0
     """Never came, by the robot's clock."""
     rejected: int = 0
-    """Of a wrong size or recipe, or with values that can not be."""
+    """Of a wrong size or recipe, or with values that cannot be."""
     repeated: int = 0
     """With the timestamp of the one before."""
     texts: int = 0

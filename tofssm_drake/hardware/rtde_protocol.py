@@ -98,7 +98,7 @@ class PackageReader:
 
         Returns:
             (type byte, payload) of each, in their order. Nothing comes any
-            more after a header that can not be: see `check`.
+            more after a header that cannot be: see `check`.
         """
         self._buffer += data
         packages = []
@@ -114,7 +114,7 @@ class PackageReader:
         return packages
 
     def check(self) -> None:
-        """Raises RtdeError if the stream can not be followed any further.
+        """Raises RtdeError if the stream cannot be followed any further.
 
         That is so if the next size is less than the header's own three bytes.
         All one can do is to disconnect.
@@ -174,7 +174,7 @@ def encode_output_setup(
 
     Args:
         names: Of the fields, in the order in which they shall come.
-        frequency: Packages per second; version 1 can not choose.
+        frequency: Packages per second; version 1 cannot choose.
         version: Of the protocol.
     """
     head = struct.pack(">d", frequency) if version >= 2 else b""

@@ -42,7 +42,7 @@ REQUIRED = {
     "runtime_state",
     "target_speed_fraction",
 }
-"""Outputs without which the robot can not be watched."""
+"""Outputs without which the robot cannot be watched."""
 REQUIRED_LENIENT = {"timestamp", "actual_q", "actual_qd"}
 """Those that even a lenient client must have."""
 

@@ -95,7 +95,7 @@ class RtdeServer:
         faults: How it misbehaves at first.
 
     Raises:
-        UserError: The address can not be listened at.
+        UserError: The address cannot be listened at.
     """
 
     def __init__(
@@ -185,7 +185,7 @@ class RtdeServer:
         except (OSError, OverflowError) as error:
             reason = getattr(error, "strerror", None) or error
             raise UserError(
-                f"can not listen at {host}:{port}: {reason}"
+                f"cannot listen at {host}:{port}: {reason}"
             ) from None
         listener.setblocking(False)
         self._selector.register(listener, selectors.EVENT_READ, accept)
@@ -463,7 +463,7 @@ class RtdeServer:
         those that only a simulated robot has:
 
             simulate slider 0.5       a person moves the slider
-            simulate slider-frozen on clients can not move it any more
+            simulate slider-frozen on clients cannot move it any more
             simulate arm-ignores-slider on  it moves, the arm does not care
             simulate arm-slow 0.6     the arm gets no slower than that
             simulate joint-offset 1 0.1  joint 1 is reported off by 0.1 rad

@@ -192,7 +192,7 @@ class RunRecorder:
             not known yet, and `add_run` follows.
 
     Raises:
-        UserError: The file can not be written.
+        UserError: The file cannot be written.
     """
 
     def __init__(self, path: pathlib.Path, run: dict | None = None):
@@ -252,7 +252,7 @@ class RunRecorder:
         """Writes what the monitor is made of; once, before the first tick.
 
         Raises:
-            UserError: The file can not be written.
+            UserError: The file cannot be written.
         """
         message = {"version": _VERSION, "epoch": self._epoch, **run}
         self._add(_RUN, encode_json(message), time.monotonic())
@@ -362,7 +362,7 @@ class RunRecorder:
     def _raise_error(self):
         if self._error is not None:
             raise UserError(
-                f"--record: {self._path}: can not write it: "
+                f"--record: {self._path}: cannot write it: "
                 f"{self._error.strerror}"
             )
 
@@ -417,7 +417,7 @@ class RunReader:
                 start = stream.read(1 << 20)
         except OSError as error:
             raise UserError(
-                f"{path}: can not read it: {error.strerror}"
+                f"{path}: cannot read it: {error.strerror}"
             ) from None
         if not start.startswith(b"\x89MCAP"):
             raise UserError(f"{path}: is no MCAP file")
@@ -483,7 +483,7 @@ class RunReader:
                 # It ends where the process that wrote it did, or worse.
                 self.is_damaged = is_whole or position < stream.tell()
                 self.problem = (
-                    f"byte {good} and what follows can not be read"
+                    f"byte {good} and what follows cannot be read"
                     if self.is_damaged
                     else f"it ends in the midst, at byte {position}"
                 )

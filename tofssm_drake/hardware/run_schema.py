@@ -1,7 +1,7 @@
 """JSON schemas of a run's record, in the part that Foxglove understands.
 
 Foxglove makes its list of what can be plotted of a channel's schema, and does
-not show the channel if it can not read that: each property has one type,
+not show the channel if it cannot read that: each property has one type,
 never null; an object has properties; an array has items of one type. Numbers
 with names (`oneOf` of constants) are shown by name.
 """

@@ -43,14 +43,14 @@ def calc_verifiable_share(
 
 
 def tell_coverage(model: SelfHitModel, share: np.ndarray) -> list[str]:
-    """Says in lines what of the rings self-hits can not verify.
+    """Says in lines what of the rings self-hits cannot verify.
 
     Args:
         model: with the least share that counts.
         share: of `calc_verifiable_share`, (m, n).
 
     Returns:
-        One line for each ring that can not be verified at all, and one for
+        One line for each ring that cannot be verified at all, and one for
         single sensors of the others; none if all can be verified.
     """
     lines = []

@@ -141,7 +141,7 @@ class SelfHitConfig:
     ride_travel: float = 1.0
 
     # A ring whose best sensor has an expected self-hit in less than this part
-    # of the task can not be verified (*assumed*: twice in a cycle of 6.6 s).
+    # of the task cannot be verified (*assumed*: twice in a cycle of 6.6 s).
     min_share: float = 0.02
 
     def check(self, where: str) -> None:
