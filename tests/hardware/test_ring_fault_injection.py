@@ -73,7 +73,7 @@ class TestParse(unittest.TestCase):
             ("silent:elbow@5-5", "ends before"),
             ("bus:elbow.@1", "no fault"),
             ("bus:elbow.8@1", "no sensor 8, use 0 to 7"),
-            ("silent:elbow.1@1", "'silent' is of a whole ring"),
+            ("silent:elbow.1@1", "'silent' concerns a whole ring"),
         ):
             with self.subTest(text=text):
                 with self.assertRaisesRegex(UserError, message):

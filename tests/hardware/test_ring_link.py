@@ -202,7 +202,7 @@ class TestUdp(LinkTest):
 
     def test_a_port_that_is_there_twice_is_told(self):
         other = dc.replace(self.address, senders=("127.0.0.2",))
-        with self.assertRaisesRegex(UserError, "is there twice"):
+        with self.assertRaisesRegex(UserError, "is given twice"):
             self.open_link(self.address, other)
 
     def test_a_port_in_use_is_told(self):
@@ -325,7 +325,7 @@ class TestSerial(LinkTest):
 
     def test_what_is_no_line_is_told_plainly(self):
         with self.assertRaisesRegex(
-            UserError, "^serial:///etc/passwd: .*: it is no serial line$"
+            UserError, "^serial:///etc/passwd: .*: it is not a serial line$"
         ):
             self.open_link(SerialAddress(path="/etc/passwd"))
 

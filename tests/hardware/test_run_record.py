@@ -162,7 +162,7 @@ class TestRunRecord(unittest.TestCase):
             self.path.write_bytes(whole[:size])
             count, is_damaged, problem = self.read_all()
             self.assertFalse(is_damaged, problem)
-            self.assertIn(f"in the midst, at byte {size}", problem)
+            self.assertIn(f"within a record, at byte {size}", problem)
             if count < 50:
                 time_ = 0.008 * (count - 1)
                 self.assertIn(f"after the tick at {time_:.3f} s", problem)
