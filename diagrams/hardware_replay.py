@@ -33,7 +33,7 @@ def replay_record(reader: RunReader) -> ReplayResult:
         reader: Of the record.
 
     Raises:
-        UserError: The record's scenario can not be used here.
+        UserError: The record's scenario cannot be used here.
     """
     run = reader.run
     loop = HardwareLoop(

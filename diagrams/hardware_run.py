@@ -276,7 +276,7 @@ def set_control_period(
             each report.
 
     Raises:
-        UserError: The reports can not make such ticks.
+        UserError: The reports cannot make such ticks.
     """
     require_control_period(control_period)
     period = 1.0 / frequency

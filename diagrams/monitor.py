@@ -321,7 +321,7 @@ def make_scenario_self_hits(
 
 
 def tell_self_hit_coverage(scenario: Scenario) -> list[str]:
-    """Says what of a scenario's rings self-hits can not verify.
+    """Says what of a scenario's rings self-hits cannot verify.
 
     Args:
         scenario: Checked settings.

@@ -242,7 +242,7 @@ def list_scenarios(filename: pathlib.Path | None = None) -> list[str]:
     Names that begin with an underscore are building blocks of others.
 
     Raises:
-        UserError: The file can not be read or is no YAML mapping.
+        UserError: The file cannot be read or is no YAML mapping.
     """
     filename = filename or find_default_scenarios()
     node = parse_yaml(_read(filename), str(filename))
@@ -354,7 +354,7 @@ def _read(filename: pathlib.Path) -> str:
         return filename.read_text(encoding="utf-8")
     except OSError as error:
         raise UserError(
-            f"{filename}: can not read the scenarios: {error.strerror}"
+            f"{filename}: cannot read the scenarios: {error.strerror}"
         ) from None
     except UnicodeDecodeError:
         raise UserError(f"{filename}: is not text in UTF-8") from None

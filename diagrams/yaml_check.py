@@ -104,7 +104,7 @@ def _check_keys(node, source, above, done):
         if key.value in first:
             fail(
                 key,
-                f"{key.value}: is there twice, first in line "
+                f"{key.value}: appears twice, first in line "
                 f"{first[key.value]}; leave one",
             )
         first[key.value] = key.start_mark.line + 1

@@ -36,7 +36,7 @@ class HardwareStatus:
     Args:
         robot: The connection to the robot.
         link: The connection to the rings; None: they are virtual.
-        dry_run: Whether nothing is written, so that the slider can not obey.
+        dry_run: Whether nothing is written, so that the slider cannot obey.
         stream: Where to; None: stderr. A terminal also gets a line that
             stays and is always new.
     """
@@ -141,7 +141,7 @@ class Changes:
     threshold the state may change with each scan.
 
     Args:
-        dry_run: Whether nothing is written, so that the slider can not obey.
+        dry_run: Whether nothing is written, so that the slider cannot obey.
     """
 
     def __init__(self, *, dry_run: bool):
@@ -182,7 +182,7 @@ def describe_health(result: TickResult, *, dry_run: bool) -> str:
 
     Args:
         result: Of the newest tick.
-        dry_run: Whether nothing is written, so that the slider can not obey.
+        dry_run: Whether nothing is written, so that the slider cannot obey.
     """
     state = RobotState(result.robot_state).name.lower()
     if dry_run:

@@ -96,7 +96,7 @@ def simulated_rings(
         address = parse_ring_address(to, where="--to")
         require(
             isinstance(address, UdpAddress),
-            f"--to: {to!r} is no UDP address; for a serial line use --pty",
+            f"--to: {to!r} is not a UDP address; for a serial line use --pty",
         )
     scenario = load_scenario(
         filename=scenario_file, name=scenario_name, text=scenario_text

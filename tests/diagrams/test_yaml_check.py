@@ -98,13 +98,13 @@ class TestCheckYaml(unittest.TestCase):
             ("a: \x00", "cell.yaml: not YAML"),
             (
                 "name: a\nheight: 1\nname: b",
-                "cell.yaml:3: name: is there twice, first in line 1",
+                "cell.yaml:3: name: appears twice, first in line 1",
             ),
             (
                 "human: !_Walk\n  speed: 1\n  speed: 2",
-                "cell.yaml:3: speed: is there twice, first in line 2",
+                "cell.yaml:3: speed: appears twice, first in line 2",
             ),
-            ("{human: {kind: _Walk, kind: _Nobody}}", "kind: is there twice"),
+            ("{human: {kind: _Walk, kind: _Nobody}}", "kind: appears twice"),
             ("? [1, 2]\n: 3", "cell.yaml:1: a key must be a word"),
             ("? {a: 1}\n: 3", "cell.yaml:1: a key must be a word"),
             ("limits: {? [1] : 3}", "a key must be a word, not a mapping"),

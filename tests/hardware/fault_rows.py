@@ -394,7 +394,7 @@ RING_ROWS: tuple[Row, ...] = (
     _all_rings("frozen", "is faulted, all sensors: frozen", 1100),
     _all_rings("blind", **_EMPTY),
     Row(
-        name="brown-out: a ring is silent for 0.3 s, then starts anew",
+        name="brown-out: a ring is silent for 0.3 s, then restarts",
         act=_brown_out(RING, 0.3),
         says=_OLD,
         zero=520,

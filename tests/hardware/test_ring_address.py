@@ -42,7 +42,7 @@ class TestParseRingAddress(unittest.TestCase):
             mut.parse_ring_address(text)
         address = mut.parse_ring_address(text, allow_remote=True)
         self.assertEqual(address.senders, ("10.0.0.2",))
-        with self.assertRaisesRegex(UserError, "who sends"):
+        with self.assertRaisesRegex(UserError, "name the sender"):
             mut.parse_ring_address("udp://0.0.0.0:5005", allow_remote=True)
 
     def test_broadcasts_are_refused(self):
@@ -83,7 +83,7 @@ class TestParseRingAddress(unittest.TestCase):
             )
         )
         mut.require_distinct([first, third])
-        with self.assertRaisesRegex(UserError, "127.0.0.1:5005 is there twice"):
+        with self.assertRaisesRegex(UserError, "127.0.0.1:5005 is given twice"):
             mut.require_distinct([first, third, second])
 
     def test_named_interface(self):
@@ -97,10 +97,10 @@ class TestParseRingAddress(unittest.TestCase):
             ),
         )
         # Capitals count.
-        with self.assertRaisesRegex(UserError, "'LO' is no"):
+        with self.assertRaisesRegex(UserError, "'LO' is not"):
             mut.parse_ring_address("udp://LO:5005")
         for addresses, message in (
-            ({"lo": "127.0.0.1", "eth0": "10.0.0.1"}, "who sends"),
+            ({"lo": "127.0.0.1", "eth0": "10.0.0.1"}, "name the sender"),
             ({"lo": "127.0.0.1", "eth0": ""}, "has no IPv4 address"),
             ({"lo": "127.0.0.1"}, r"interface of this machine \(lo\)"),
         ):
@@ -122,24 +122,24 @@ class TestParseRingAddress(unittest.TestCase):
 
     def test_tells_what_is_wrong_in_one_line(self):
         for text, reason in (
-            ("", "no address"),
-            ("127.0.0.1:5005", "no address"),
-            ("tcp://127.0.0.1:5005", "no address"),
-            ("udp://127.0.0.1:5005#x", "no address"),
+            ("", "not an address"),
+            ("127.0.0.1:5005", "not an address"),
+            ("tcp://127.0.0.1:5005", "not an address"),
+            ("udp://127.0.0.1:5005#x", "not an address"),
             ("udp://127.0.0.1", "no port"),
             ("udp://127.0.0.1:0", "no port"),
-            ("udp://127.0.0.1:70000", "no address"),
-            ("udp://127.0.0.1:x", "no address"),
+            ("udp://127.0.0.1:70000", "not an address"),
+            ("udp://127.0.0.1:x", "not an address"),
             ("udp://127.0.0.1:5005/rings", "no port"),
             ("udp://:5005", "IPv4"),
-            ("udp://ring.local:5005", "'ring.local' is no IPv4"),
+            ("udp://ring.local:5005", "'ring.local' is not an IPv4"),
             ("udp://[::1]:5005", "IPv4"),
             ("udp://me@127.0.0.1:5005", "no user"),
             ("udp://224.0.0.1:5005", "group"),
             ("udp://127.0.0.1:5005?from=", "IPv4"),
             ("udp://127.0.0.1:5005?from=1.2.3.4&from=1.2.3.5", "twice"),
             ("udp://127.0.0.1:5005?baud=9600", "'baud' is unknown"),
-            ("udp://127.0.0.1:5005?x", "no address"),
+            ("udp://127.0.0.1:5005?x", "not an address"),
             ("serial://dev/ttyACM0", "no device"),
             ("serial:///", "no device"),
             ("serial:///dev/ttyACM0?baud=0", "baud '0'"),

@@ -202,17 +202,17 @@ class TestUdp(LinkTest):
 
     def test_a_port_that_is_there_twice_is_told(self):
         other = dc.replace(self.address, senders=("127.0.0.2",))
-        with self.assertRaisesRegex(UserError, "is there twice"):
+        with self.assertRaisesRegex(UserError, "is given twice"):
             self.open_link(self.address, other)
 
     def test_a_port_in_use_is_told(self):
         self.open_link(self.address)
-        with self.assertRaisesRegex(UserError, "can not listen there: Address"):
+        with self.assertRaisesRegex(UserError, "cannot listen there: Address"):
             self.open_link(self.address)
 
     def test_an_address_of_another_machine_is_told(self):
         address = UdpAddress(host="192.0.2.1", port=5005, senders=())
-        with self.assertRaisesRegex(UserError, "udp://192.0.2.1:5005: can not"):
+        with self.assertRaisesRegex(UserError, "udp://192.0.2.1:5005: cannot"):
             self.open_link(address)
 
     def test_a_failing_reader_says_so_and_delivers_nothing_more(self):
@@ -320,12 +320,12 @@ class TestSerial(LinkTest):
         self.assertEqual(link.get_scans()[0].sequence, -1)
 
     def test_a_missing_line_is_told(self):
-        with self.assertRaisesRegex(UserError, "can not open it: No such file"):
+        with self.assertRaisesRegex(UserError, "cannot open it: No such file"):
             self.open_link(SerialAddress(path="/dev/there-is-none"))
 
     def test_what_is_no_line_is_told_plainly(self):
         with self.assertRaisesRegex(
-            UserError, "^serial:///etc/passwd: .*: it is no serial line$"
+            UserError, "^serial:///etc/passwd: .*: it is not a serial line$"
         ):
             self.open_link(SerialAddress(path="/etc/passwd"))
 

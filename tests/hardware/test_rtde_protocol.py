@@ -287,7 +287,7 @@ class TestFuzz(unittest.TestCase):
     """A hundred thousand damaged streams.
 
     RTDE has no checksum: what TCP hands over is believed. So a damaged
-    package of the right size and recipe can not be told from a good one by
+    package of the right size and recipe cannot be told from a good one by
     its bytes, and is accepted. None that has another size or recipe is, and
     nothing but RtdeError ever comes out.
     """

@@ -403,7 +403,7 @@ class TestBadClients(TestServer):
         client.socket.sendall(struct.pack(">HB", 3, ord("v")) * count)
         for _ in range(count):
             self.assertEqual(client.receive()[0], ord("v"))
-        # In the order in which they were asked, up to what can not be.
+        # In the order in which they were asked, up to what cannot be.
         client.socket.sendall(
             rtde.encode_package(ord("v"))
             + rtde.encode_version_request(1)
@@ -666,10 +666,10 @@ class TestAddress(unittest.TestCase):
         with socket.create_server(("127.0.0.1", 0)) as taken:
             host, port = taken.getsockname()
             with self.assertRaisesRegex(
-                UserError, f"can not listen at {host}:{port}: "
+                UserError, f"cannot listen at {host}:{port}: "
             ):
                 mut.RtdeServer(robot=make_robot(), host=host, port=port)
 
     def test_nobodys(self):
-        with self.assertRaisesRegex(UserError, "can not listen"):
+        with self.assertRaisesRegex(UserError, "cannot listen"):
             mut.RtdeServer(robot=make_robot(), host="192.0.2.1", port=0)

@@ -162,7 +162,7 @@ class TestRunRecord(unittest.TestCase):
             self.path.write_bytes(whole[:size])
             count, is_damaged, problem = self.read_all()
             self.assertFalse(is_damaged, problem)
-            self.assertIn(f"in the midst, at byte {size}", problem)
+            self.assertIn(f"within a record, at byte {size}", problem)
             if count < 50:
                 time_ = 0.008 * (count - 1)
                 self.assertIn(f"after the tick at {time_:.3f} s", problem)
@@ -232,7 +232,7 @@ class TestRunRecord(unittest.TestCase):
         )
 
     def test_a_full_disk_is_told_by_the_next_tick(self):
-        with self.assertRaisesRegex(UserError, "--record: /dev/full: can not"):
+        with self.assertRaisesRegex(UserError, "--record: /dev/full: cannot"):
             mut.RunRecorder(Path("/dev/full"), {})
         limits = resource.getrlimit(resource.RLIMIT_FSIZE)
         self.addCleanup(resource.setrlimit, resource.RLIMIT_FSIZE, limits)
@@ -329,10 +329,10 @@ class TestRunRecord(unittest.TestCase):
                 time.sleep(0.01)
 
     def test_what_is_no_record(self):
-        with self.assertRaisesRegex(UserError, "can not read"):
+        with self.assertRaisesRegex(UserError, "cannot read"):
             mut.RunReader(self.path)
         self.path.write_bytes(b"something else")
-        with self.assertRaisesRegex(UserError, "no MCAP file"):
+        with self.assertRaisesRegex(UserError, "not an MCAP file"):
             mut.RunReader(self.path)
-        with self.assertRaisesRegex(UserError, "can not write"):
+        with self.assertRaisesRegex(UserError, "cannot write"):
             mut.RunRecorder(self.path.parent / "none" / "x.mcap", {})

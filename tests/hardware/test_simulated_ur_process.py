@@ -102,7 +102,7 @@ class TestMistakes(unittest.TestCase):
             (("--watchdog-action", "shout"), "--watchdog-action: 'shout'"),
             (("--skip-every", "1"), "--skip-every: must be 0 or at least 2"),
             (("--fragment", "-1"), "--fragment: must be 0 or more"),
-            (("--host", "192.0.2.1"), "can not listen at 192.0.2.1:30004"),
+            (("--host", "192.0.2.1"), "cannot listen at 192.0.2.1:30004"),
         ):
             with self.subTest(options=options):
                 errors = io.StringIO()

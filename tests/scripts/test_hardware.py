@@ -223,7 +223,7 @@ class TestHardware(unittest.TestCase):
         code, out = run_replay(path)
         self.assertEqual(code, 0)
         self.assertIn("all states as recorded", out)
-        self.assertIn("the record is incomplete: it ends in the midst", out)
+        self.assertIn("the record is incomplete: it ends within a record", out)
         path.write_bytes(data.replace(b'"heartbeat":20', b'"heartbeaT":20'))
         self.assertEqual(run_replay(path)[0], 1)
 
@@ -427,7 +427,7 @@ class TestHardware(unittest.TestCase):
         ):
             code, out, err = run_hardware(server, "--record", path)
             self.assertEqual((code, robot.slider), (1, 0.0), err)
-        self.assertIn("can not write it: File too large; slider set to 0", out)
+        self.assertIn("cannot write it: File too large; slider set to 0", out)
         self.assertNotIn("Traceback", out + err)
         self.assertGreater(len(list(RunReader(path).read_ticks())), 20)
 

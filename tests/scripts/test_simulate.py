@@ -338,7 +338,7 @@ BAD_INPUT = {
     ),
     "missing_scenario_file": (
         ("--scenario-file", "nowhere.yaml"),
-        "nowhere.yaml: can not read the scenarios: No such file",
+        "nowhere.yaml: cannot read the scenarios: No such file",
     ),
     "scenario_file_is_a_folder": (("--scenario-file", "."), "directory"),
     "unknown_scenario": (
@@ -403,11 +403,11 @@ BAD_INPUT = {
     ),
     "key_twice": (
         _text("{ssm: {C_dC: 0.4},\n ssm: {C_dC: 0.9}}"),
-        "--scenario-text:2: ssm: is there twice, first in line 1",
+        "--scenario-text:2: ssm: appears twice, first in line 1",
     ),
     "name_twice_in_a_file": (
         _file("Cell: {}\nOther: {}\nCell: {random_seed: 3}\n"),
-        "cell.yaml:3: Cell: is there twice, first in line 1",
+        "cell.yaml:3: Cell: appears twice, first in line 1",
     ),
     "octal": (_text("{random_seed: 010}"), "which YAML takes for 8"),
     "list_as_a_key": (_text("{? [1,2] : 3}"), "a key must be a word"),

@@ -1,13 +1,13 @@
 """Whether the arm does what its speed slider says.
 
-The slider's echo tells where the slider is, not how fast the arm moves. So
+The slider's echo says where the slider is, not how fast the arm moves. So
 the measured joint speeds are compared with what the slider allows. One pure
 function, `step_arm`, does it, once per report.
 
-Nothing is judged while the robot's program does not play: then a person may
-push the arm, and a protective stop may let it sag. What the robot says of its
-own limiter (`speed_scaling`) is not used. It may only lower the speed, and
-nobody has published what it shows.
+The arm is judged only while the robot's program plays: otherwise a person may
+push the arm, and a protective stop may let it sag. The robot's own limiter
+(`speed_scaling`) is not used: it can only lower the speed, and what it shows
+is not published.
 """
 
 import dataclasses as dc
@@ -18,7 +18,7 @@ import numpy as np
 from tofssm_drake.errors import require
 from tofssm_drake.messages import RobotReport
 
-# A fraction that is not farther above the lowest is the lowest.
+# Fractions within this of the lowest count as the lowest.
 _ZERO = 0.005
 
 
@@ -28,28 +28,28 @@ class ArmConfig:
 
     # Time that the arm may take to follow the slider, s (assumed). Until then
     # it may still be as fast as the slider allowed before. The simulated UR
-    # takes 0.2 s over the full range, and 0.1 s are margin. How long a real
-    # one takes is not published: measure it (docs/hardware.md). The law's
-    # T_stop of 0.4 s is as long as the slider itself takes to fall: an arm
-    # that lags by more than this needs a longer T_stop as well.
+    # takes 0.2 s over the full range; 0.1 s is margin. How long a real one
+    # takes is not published: measure it (docs/hardware.md). The law's T_stop
+    # of 0.4 s is the time in which the slider itself falls: an arm that lags
+    # by more than this needs a longer T_stop as well.
     ramp_time: float = 0.3
 
-    # A joint may be faster than the allowed fraction of its greatest speed by
-    # that part of its greatest speed (assumed: 0.01 for an echo that is
-    # rounded, the rest for what a joint swings over).
+    # A joint may exceed the allowed fraction of its greatest speed by this
+    # part of its greatest speed (assumed: 0.01 for a rounded echo, the rest
+    # for overshoot).
     speed_margin: float = 0.1
 
-    # So long after the slider came to its lowest every joint must be at rest,
-    # s (assumed: the 0.5 s in which UR's own safety system wants a stop of
-    # category 1 or 2 to be over). A faulted arm must be at rest for as long
+    # Every joint must be at rest this long after the slider reached its
+    # lowest, s (assumed: the 0.5 s that UR's own safety system allows for a
+    # stop of category 1 or 2). A faulted arm must be at rest for as long
     # before it may move again.
     rest_time: float = 0.5
 
-    # A joint that is not faster is at rest, rad/s (assumed: five times what
+    # Up to this speed a joint is at rest, rad/s (assumed: five times what
     # counts as standing still, which is above the noise of a UR at rest).
     rest_speed: float = 0.05
 
-    # What is wrong for longer is a fault, s (assumed: a dozen reports of a
+    # An excess that lasts longer is a fault, s (assumed: a dozen reports of a
     # CB3, too long for noise).
     confirm_time: float = 0.1
 
@@ -81,15 +81,15 @@ class ArmState:
     """What is remembered of slider and arm from one report to the next."""
 
     allowed: tuple[tuple[float, float], ...] = ()
-    """(robot's time until which it held, fraction that the slider allowed),
-    of the last `rest_time`, s; the fractions fall. Where the arm was not
-    judged the fraction is inf."""
+    """(robot's time until which it held, fraction that the slider allowed)
+    of the last `rest_time`, s, with falling fractions; inf where the arm was
+    not judged."""
     wrong_since: float = math.nan
-    """Since when the arm has been too fast, s; NaN: it is not."""
+    """Since when the arm has been too fast, s; NaN: it is not too fast."""
     resting_since: float = math.nan
     """Since when all joints have been at rest, s; NaN: they are not."""
     problem: str = ""
-    """What is wrong and has been for long enough, in one line; else empty.
+    """What has been wrong for long enough, in one line; else empty.
     It stays until the arm has been at rest for `rest_time`."""
 
     def __deepcopy__(self, memo):
@@ -119,7 +119,7 @@ def step_arm(
         is_judged: The robot's program plays and nobody guides the arm.
 
     Returns:
-        The next state; `problem` tells.
+        The next state; `problem` says whether the arm obeys.
     """
     now = report.timestamp
     speeds = np.abs(report.velocity)
@@ -127,7 +127,7 @@ def step_arm(
     allowed = allowed if is_judged else math.inf
     history = _remember(state.allowed, now, allowed, config.rest_time)
     fraction, limits = _calc_limits(config, history, now, lowest, fastest)
-    # A speed that is not a number is at no rest, and is too fast.
+    # A NaN speed counts as not at rest and as too fast.
     is_at_rest = bool((speeds <= config.rest_speed + lowest * fastest).all())
     is_wrong = is_judged and not bool((speeds <= limits).all())
     resting_since = _keep(state.resting_since, now) if is_at_rest else math.nan
@@ -146,26 +146,26 @@ def step_arm(
 
 
 def _keep(since, now):
-    """Returns when something began that goes on now."""
+    """Returns when something that is true now began."""
     return now if math.isnan(since) else since
 
 
 def _remember(history, now, allowed, duration):
-    """Returns what the slider allowed of late, the newest last."""
+    """Returns what the slider allowed recently, the newest last."""
     kept = [h for h in history if now - h[0] <= duration]
-    # What was lower and is longer ago is not the greatest of any time.
+    # An older, lower fraction is not the greatest of any period.
     while kept and kept[-1][1] <= allowed:
         kept.pop()
     return (*kept, (now, allowed))
 
 
 def _calc_limits(config, history, now, lowest, fastest):
-    """Returns the fraction that counts, and each joint's limit, rad/s, (6,)."""
+    """Returns the fraction in force and each joint's limit, rad/s, (6,)."""
     fraction = next(
         (f for t, f in history if now - t <= config.ramp_time), history[-1][1]
     )
     limits = fastest * (fraction + config.speed_margin)
-    # The first is the greatest of all.
+    # The first is the greatest.
     if history[0][1] <= lowest + _ZERO:
         limits = np.minimum(limits, config.rest_speed + lowest * fastest)
     return fraction, limits
@@ -173,7 +173,7 @@ def _calc_limits(config, history, now, lowest, fastest):
 
 def _describe(speeds, limits, allowed):
     """Returns which joint is too fast, in one line."""
-    # The first that is no number, else the one that exceeds its limit most.
+    # The first NaN, else the one that exceeds its limit most.
     j = int(np.argmax(np.where(np.isnan(speeds), np.inf, speeds - limits)))
     return (
         f"arm does not slow: joint {j + 1} at {speeds[j]:.2f} rad/s, the "

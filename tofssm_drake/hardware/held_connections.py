@@ -1,8 +1,8 @@
 """Connections that show one report and its scans until they get the next.
 
-Systems that were given these see the same data in all steps of a tick,
-whatever arrives in the meantime. So a tick follows from what was handed in,
-live as in a replay.
+Systems that use these see the same data in all steps of a tick, whatever
+arrives in the meantime. So a tick follows from what was handed in, live and
+in a replay.
 """
 
 from collections.abc import Callable
@@ -27,7 +27,7 @@ class HeldRobot:
     def __init__(self, send: Callable[[SliderCommand], bool] | None = None):
         self._send = send
         self.report = RobotReport()
-        """What it shows."""
+        """The report shown."""
 
     def get_report(self) -> RobotReport:
         """Returns the report that it was given."""
@@ -54,15 +54,15 @@ class HeldRings:
 
     def __init__(self):
         self.scans: tuple[RingScan, ...] = tuple(RingScan() for _ in RINGS)
-        """What it shows, on the Diagram's clock."""
+        """The scans shown, on the Diagram's clock."""
 
     def take(self, scans: tuple[RingScan, ...], *, clock_offset: float) -> None:
         """Takes those scans that are new.
 
         Args:
             scans: Newest of each ring, on the host's clock; empty: none.
-            clock_offset: What the Diagram's clock shows more than the host's,
-                s; it counts for the scans that are taken now.
+            clock_offset: Diagram's minus host's clock, s; applies to the scans
+                taken now.
         """
         self.scans = tuple(
             shift_scan(scan, clock_offset)

@@ -1,13 +1,12 @@
-"""Whether the robot that reports is the robot that is modelled.
+"""Whether the reporting robot is the modelled one.
 
 A controller computes the pose of its tool from its joints and its own
 kinematics. The model's forward kinematics of the same joints must give the
-same pose. Another robot, an offset of a joint or joints that are out of date
-do not.
+same pose. Another robot, a joint offset or outdated joints do not.
 
 Frames: B is the model's `base`, which is UR's own base frame and not ROS's
-`base_link` (that one is turned by 180 degrees about z). F is the
-tool flange, T the tool centre point as the robot is set up.
+`base_link` (which is turned by 180 degrees about z). F is the tool flange, T
+the tool centre point as the robot is set up.
 """
 
 import dataclasses as dc
@@ -24,28 +23,28 @@ from tofssm_drake.robot.kinematics import RingKinematics, calc_link_poses
 
 @dc.dataclass(kw_only=True)
 class ModelConfig:
-    """How near reported and modelled pose of the tool must be."""
+    """How close the reported and modelled pose of the tool must be."""
 
     # Distance, m, and angle, rad, between them (assumed: a real UR is
-    # calibrated one by one, which moves its tool by some millimetres against
-    # the published lengths, and UR's safety system itself trusts poses no
-    # further than 20 mm and 1.15 degrees; the next larger or smaller UR is
+    # calibrated individually, which moves its tool by some millimetres
+    # against the published lengths, and UR's safety system itself trusts
+    # poses only to 20 mm and 1.15 degrees; the next larger or smaller UR is
     # off by hundreds of millimetres).
     position_tolerance: float = 0.02
     angle_tolerance: float = 0.035
 
-    # A robot that does not report its `tcp_offset` has one that is no longer,
-    # m (assumed: longer tools are rare), and does not change: it is taken
-    # from the first report.
+    # If a robot does not report its `tcp_offset`, the offset is taken from
+    # the first report, assumed constant and at most this long, m (assumed:
+    # longer tools are rare).
     longest_tcp_offset: float = 0.5
 
-    # Poses are compared so often, s, and a difference that lasts for longer
-    # than the second time ends the run, s (assumed: joints that are late show
-    # only while the arm is fast, for some tenths of a second at a time).
+    # Period of the comparison, s, and how long a difference must last to end
+    # the run, s (assumed: late joints show only while the arm is fast, for
+    # some tenths of a second at a time).
     check_period: float = 0.04
     confirm_time: float = 0.2
 
-    # Go on with a robot that does not report the pose of its tool.
+    # Accept a robot that does not report the pose of its tool.
     allow_no_pose: bool = False
 
     def check(self, where: str) -> None:
@@ -69,16 +68,16 @@ class ModelMatch:
     """What is remembered from one comparison to the next."""
 
     X_FT: np.ndarray | None = None
-    """Tool in the flange as the first report implies, (3, 4); None: not known
+    """Tool in the flange as implied by the first report, (3, 4); None: unknown
     yet, or the robot reports its `tcp_offset`."""
     checked: float = -math.inf
-    """When poses were compared last, s on the robot's clock."""
+    """When poses were last compared, s on the robot's clock."""
     session: int = -1
     """Of that report."""
     wrong_since: float = math.nan
     """Since when they differ, s; NaN: they do not."""
     problem: str = ""
-    """What differs and has for long enough, in one line; else empty."""
+    """What has differed for long enough, in one line; else empty."""
 
 
 def start_model_match(
@@ -92,16 +91,16 @@ def start_model_match(
         report: Its position is finite.
 
     Returns:
-        What to go on with.
+        The state for `step_model_match`.
 
     Raises:
-        UserError: It is another robot, or nobody knows.
+        UserError: It is another robot, or cannot be identified.
     """
     if not config.allow_no_pose and not np.isfinite(report.tcp_pose).all():
         raise UserError(
             "robot: reports no pose of its tool (actual_TCP_pose), so nothing "
-            "tells whether it is the modelled arm; --allow-no-pose starts all "
-            "the same"
+            "shows whether it is the modelled arm; --allow-no-pose starts "
+            "anyway"
         )
     match = _infer_offset(kinematics, ModelMatch(), report)
     problem = find_mismatch(config, kinematics, match, report)
@@ -115,7 +114,7 @@ def step_model_match(
     match: ModelMatch,
     report: RobotReport,
 ) -> ModelMatch:
-    """Compares a report, if it is time for it.
+    """Compares a report, if a comparison is due.
 
     Args:
         config: Settings; checked.
@@ -124,7 +123,7 @@ def step_model_match(
         report: The newest.
 
     Returns:
-        The next state; `problem` tells.
+        The next state; `problem` says what is wrong.
     """
     now = report.timestamp
     same = report.session == match.session
@@ -152,13 +151,13 @@ def find_mismatch(
     match: ModelMatch,
     report: RobotReport,
 ) -> str:
-    """Returns by how much model and report differ, in one line; "" if not.
+    """Returns by how much model and report differ, in one line; else "".
 
     Args:
         config: Settings; checked.
         kinematics: Of the modelled robot.
-        match: Tells the tool where the report does not.
-        report: What is compared.
+        match: Has the tool if the report does not.
+        report: The report to compare.
     """
     if not np.isfinite(report.tcp_pose).all():
         return "" if config.allow_no_pose else "reports no pose of its tool"
@@ -199,7 +198,7 @@ def describe_tool(
     """
     if not np.isfinite(report.tcp_pose).all():
         return (
-            "robot: reports no pose of its tool: nothing tells whether it is "
+            "robot: reports no pose of its tool: nothing shows whether it is "
             "the modelled arm (--allow-no-pose)"
         )
     X_FB = invert(calc_flange_pose(kinematics, report.position))
@@ -214,7 +213,7 @@ def describe_tool(
 
 
 def _infer_offset(kinematics, match, report):
-    """Returns a match that knows the tool, from where the report has it."""
+    """Returns a match with the tool that the report implies."""
     if (
         match.X_FT is not None
         or np.isfinite(report.tcp_offset).all()

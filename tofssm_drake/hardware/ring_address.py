@@ -12,9 +12,9 @@ from tofssm_drake.errors import UserError, require
 
 _FORMS = "udp://ADDRESS:PORT[?from=ADDRESS] or serial:///dev/NAME[?baud=RATE]"
 _DEFAULT_BAUD = 921600
-# Linux: asks for an interface's IPv4 address.
+# Linux's request for an interface's IPv4 address.
 _SIOCGIFADDR = 0x8915
-# And for its broadcasts'.
+# The same for its broadcast address.
 _SIOCGIFBRDADDR = 0x8919
 
 
@@ -56,7 +56,7 @@ def parse_ring_address(
     `udp://192.168.1.10:5005?from=192.168.1.20` binds one interface and takes
     datagrams from the named sender (or several, separated by commas); without
     `from` only from the same address, which is this machine itself. The
-    interface may also be named as the system does: `udp://eth0:5005?from=...`.
+    interface may also be given by name: `udp://eth0:5005?from=...`.
     `serial:///dev/ttyACM0?baud=115200` is a serial line, by default at 921600
     baud.
 
@@ -66,7 +66,7 @@ def parse_ring_address(
         allow_remote: Whether every interface (0.0.0.0) may be bound.
 
     Raises:
-        UserError: It is no such address.
+        UserError: It is not such an address.
     """
     try:
         parts = urlsplit(text)
@@ -78,17 +78,17 @@ def parse_ring_address(
         )
     except ValueError as error:
         raise UserError(
-            f"{where}: {text!r} is no address ({error}); use {_FORMS}"
+            f"{where}: {text!r} is not an address ({error}); use {_FORMS}"
         ) from None
     require(
         parts.scheme in ("udp", "serial") and not parts.fragment,
-        f"{where}: {text!r} is no address; use {_FORMS}",
+        f"{where}: {text!r} is not an address; use {_FORMS}",
     )
     known = "from" if parts.scheme == "udp" else "baud"
     for name, values in options.items():
         require(
             name == known and len(values) == 1,
-            f"{where}: {text!r}: option {name!r} is unknown or there twice; "
+            f"{where}: {text!r}: option {name!r} is unknown or given twice; "
             f"{parts.scheme} has {known!r}",
         )
     if parts.scheme == "udp":
@@ -114,7 +114,7 @@ def _parse_udp(text, where, allow_remote, parts, port, options):
         parts.username is None and parts.password is None,
         f"{where}: {text!r}: a datagram has no user; use {_FORMS}",
     )
-    # As it was written: of an interface, capitals count.
+    # As written: interface names are case-sensitive.
     name = parts.netloc.rpartition(":")[0]
     interface = name if name in list_interfaces() else ""
     if interface:
@@ -145,11 +145,11 @@ def _parse_udp(text, where, allow_remote, parts, port, options):
             for sender in options["from"][0].split(",")
         )
     else:
-        # What a machine sends to itself comes through no other interface.
+        # What a machine sends to itself arrives on no other interface.
         require(
             host != "0.0.0.0"
             and (not interface or ipaddress.IPv4Address(host).is_loopback),
-            f"{where}: {text!r} must name who sends: add ?from=ADDRESS",
+            f"{where}: {text!r} must name the sender: add ?from=ADDRESS",
         )
         senders = (host,)
     return UdpAddress(
@@ -168,32 +168,32 @@ def find_interface_address(name: str) -> str:
 
 
 def find_broadcast_address(name: str) -> str:
-    """Returns the address of an interface's broadcasts; "" if it has none."""
+    """Returns an interface's broadcast address; "" if it has none."""
     return _ask_interface(name, _SIOCGIFBRDADDR)
 
 
 def require_distinct(
     addresses: Sequence[RingAddress], where: str = "--rings"
 ) -> None:
-    """Raises UserError if one port or line is there twice.
+    """Raises UserError if a port or line is given twice.
 
     Args:
-        addresses: All that shall be listened at.
+        addresses: All addresses to listen on.
         where: Where the user wrote them.
     """
-    told = [str(address) for address in addresses]
-    for text in told:
+    texts = [str(address) for address in addresses]
+    for text in texts:
         require(
-            told.count(text) == 1,
-            f"{where}: {text} is there twice; several senders of one port "
-            "are ?from=ADDRESS,ADDRESS",
+            texts.count(text) == 1,
+            f"{where}: {text} is given twice; for several senders on "
+            "one port use ?from=ADDRESS,ADDRESS",
         )
 
 
 def _is_broadcast(host):
     """Whether datagrams to it go to more than one machine."""
     if host == "0.0.0.0":
-        # Every interface; what one without broadcasts tells.
+        # Every interface; reported by one without broadcasts.
         return False
     return host in ("255.255.255.255", "127.255.255.255") or host in map(
         find_broadcast_address, list_interfaces()
@@ -221,6 +221,6 @@ def _parse_ip(text, where, host, *, is_ours=False):
             names = ", ".join(list_interfaces())
             ours = f", nor an interface of this machine ({names})"
         raise UserError(
-            f"{where}: {text!r}: {host!r} is no IPv4 address such as "
+            f"{where}: {text!r}: {host!r} is not an IPv4 address such as "
             f"127.0.0.1{ours}"
         ) from None

@@ -1,14 +1,14 @@
-"""Whether a ring's link keeps to the time that the safety law assumes.
+"""Whether a ring's link keeps within the time that the safety law assumes.
 
-The law reckons with a reaction time T_R from what a sensor sees to the start
-of braking. What the link takes of it is measured here from the frames of the
-last seconds, and told in one line with figures where it is too much.
+The law assumes a reaction time T_R from what a sensor sees to the start of
+braking. The link's share of it is measured here from the frames of the last
+seconds, and reported in one line with figures if it is too large.
 
-Figures are differences of running totals, the newest less those of a window
-before: a frame costs the same however long the window is.
+Figures are differences of running totals, the newest minus those of one window
+ago: a frame costs the same however long the window is.
 
-What cannot be seen: a delay that is there from a device's first frame on. It
-looks like an offset of its clock (see ring_clock.py).
+A delay that is present from a device's first frame cannot be seen: it looks
+like an offset of its clock (see ring_clock.py).
 """
 
 from collections.abc import Sequence
@@ -24,19 +24,19 @@ from tofssm_drake.sensing.vl53l1x import (
     check_range,
 )
 
-# Figures of less than this are told of no frame, s: a single late one would
-# make up too much of them. A device's scans count only after 0.5 s.
+# Least time to measure, s: in less, a single late frame would weigh too much.
+# A device's scans count only after 0.5 s.
 _LEAST_SPAN = 0.4
-# The clock's error is the median of so many slopes, of one block each. One
+# The clock's error is the median of this many slopes, of one block each. One
 # of them may be a delay that came or went.
 _SLOPES = 3
 
 
 @dc.dataclass(frozen=True, kw_only=True)
 class RingBudget:
-    """What a ring's link may take; `make_ring_budget` fits it to a scenario."""
+    """Limits of a ring's link; `make_ring_budget` fits them to a scenario."""
 
-    # Period of each sensor that the law takes for granted, s.
+    # Period of each sensor that the law assumes, s.
     period: float = 0.024
 
     # Greatest age of a sample at its frame's arrival, from the middle of its
@@ -44,24 +44,24 @@ class RingBudget:
     # scenario.
     max_age: float = 0.034
 
-    # Over how long all is measured, s (*assumed*). With 1 % of the frames
-    # lost independently, three rings of 24 ms exceed `max_lost` once in 21
-    # minutes over one second, once in 5 days over two.
+    # Time over which everything is measured, s (*assumed*). If 1 % of the
+    # frames are lost independently, three rings of 24 ms exceed `max_lost`
+    # once in 21 minutes over one second, once in 5 days over two.
     window: float = 2.0
 
     # Greatest part of a window's frames that may be lost, and that may be
     # older than `max_age` (*assumed*). While a frame is missing the reaction
-    # takes a period longer, 6 ms beyond T_R; a tenth of the time that is
-    # borne, beyond it is no accident any more.
+    # takes a period longer, 6 ms beyond T_R; that is tolerated for a tenth of
+    # the time, beyond which it is not an accident any more.
     max_lost: float = 0.1
 
-    # By how much a measured period may be longer, as a part (*assumed*: the
-    # device's own jitter is 1 %; a sensor that skips samples doubles it).
+    # By what part a measured period may be longer (*assumed*: the device's
+    # own jitter is 1 %; a sensor that skips samples doubles it).
     period_tolerance: float = 0.1
 
-    # Greatest difference of the device's clock and the host's, s/s
+    # Greatest rate error of the device's clock against the host's, s/s
     # (*assumed*: crystals differ by 200e-6, and a millisecond of jitter looks
-    # like 1000e-6). Beyond it is no crystal, or a delay that grows.
+    # like 1000e-6). Beyond it is not a crystal, or a delay that grows.
     max_clock_error: float = 2e-3
 
     def check(self, where: str) -> None:
@@ -86,10 +86,10 @@ def calc_max_age(
     rtde_period: float,
     brake_start: float,
 ) -> float:
-    """Returns how old a sample may be when it arrives, s; 0: never in time.
+    """Returns how old a sample may be on arrival, s; 0: never in time.
 
-    What happens right after a sample is seen by the next one, a period later.
-    That arrives, is masked, waits for the control tick and for the robot's
+    An event right after a sample is seen by the next one, a period later. That
+    sample arrives, is masked, waits for the control tick and for the robot's
     cycle, and then the robot begins to brake:
 
         period + age + monitor_time + control_period + rtde_period
@@ -98,7 +98,7 @@ def calc_max_age(
     Args:
         T_R: Reaction time of the law, s.
         period: Of a sensor, s.
-        monitor_time: Of mask and distances, s.
+        monitor_time: Computing time of mask and distances, s.
         control_period: Of the monitor, s.
         rtde_period: The robot's cycle, s.
         brake_start: From the command to the beginning of braking, s.
@@ -109,7 +109,7 @@ def calc_max_age(
 
 @dc.dataclass(frozen=True, eq=False, kw_only=True)
 class FrameTiming:
-    """What one frame tells about its link; n sensors."""
+    """What one frame says about its link; n sensors."""
 
     arrival: float
     """Host's time, s."""
@@ -118,7 +118,7 @@ class FrameTiming:
     sequence: int
     """Unwrapped."""
     age: float
-    """Of the oldest new sample at the arrival, s; 0: none is new."""
+    """Age of the oldest new sample on arrival, s; 0: none is new."""
     status: np.ndarray
     """Range status of each sensor, (n,)."""
     period_ms: np.ndarray
@@ -142,8 +142,8 @@ class _Totals:
     age: float = 0.0
     """Sum of their ages, s."""
     samples: np.ndarray | float = 0.0
-    """Of each sensor, (4, n): how often it was new, how often it had nothing
-    new, how often it knew its period, and the sum of these periods in ms."""
+    """Of each sensor, (4, n): number of frames with a new sample, number
+    without, number with a known period, and the sum of these periods in ms."""
 
 
 _NOTHING = _Totals(arrival=-np.inf, device=-np.inf, sequence=-1)
@@ -154,7 +154,7 @@ class LinkFigures:
     """What was measured over a window; NaN: not known yet."""
 
     span: float = 0.0
-    """How long was measured, s."""
+    """Time that was measured, s."""
     period: float = np.nan
     """Of the frames, s by the device's clock."""
     lost: float = np.nan
@@ -166,7 +166,7 @@ class LinkFigures:
     late_age: float = np.nan
     """Mean age of those, s."""
     sensor_period: np.ndarray = dc.field(default_factory=lambda: np.empty(0))
-    """Of each sensor, s, (n,), as counted or as it says, whatever is longer;
+    """Of each sensor, s, (n,): the longer of the counted and the reported one;
     0: not known."""
     clock_error: float = 0.0
     """How much slower the device's clock is, s/s; 0: not known yet."""
@@ -174,25 +174,25 @@ class LinkFigures:
 
 @dc.dataclass(frozen=True, eq=False, kw_only=True)
 class LinkWatch:
-    """What is known of a link; never changes after it was made."""
+    """What is known of a link; immutable."""
 
     totals: tuple[_Totals, ...] = ()
-    """Of each frame of the last window."""
+    """After each frame of the last window."""
     blocks: tuple[tuple[float, float], ...] = ()
-    """Device's time at the begin of each block of half a window, and the
-    least of host minus device time in it, s."""
+    """Device's time at the start of each block of half a window, and the
+    least host minus device time in it, s."""
     figures: LinkFigures = dc.field(default_factory=LinkFigures)
     """Newest."""
     told: str = ""
-    """What was wrong when something was."""
+    """What was wrong last."""
     told_time: float = -np.inf
-    """When that was the last time, s."""
+    """When that was, s."""
     problem: str = ""
-    """What is wrong, or was within the last window; empty: nothing."""
+    """What is, or within the last window was, wrong; empty: nothing."""
 
 
 def restart_watch(watch: LinkWatch) -> LinkWatch:
-    """Returns what is left when the device began anew: what was wrong."""
+    """Returns the watch after a restart of the device: keeps what was wrong."""
     return LinkWatch(
         told=watch.told, told_time=watch.told_time, problem=watch.problem
     )
@@ -201,15 +201,15 @@ def restart_watch(watch: LinkWatch) -> LinkWatch:
 def update_watch(
     watch: LinkWatch, timing: FrameTiming, budget: RingBudget
 ) -> LinkWatch:
-    """Returns what is known after one frame more.
+    """Returns what is known after one more frame.
 
     A problem lasts until the link has been within its limits for a whole
     window.
 
     Args:
         watch: What was known before.
-        timing: Of a frame that is newer than all before.
-        budget: What the link may take.
+        timing: Of a frame newer than all before.
+        budget: Limits of the link.
     """
     before = watch.totals[-1] if watch.totals else _NOTHING
     totals = (*watch.totals, _add(before, timing, budget))
@@ -236,11 +236,11 @@ def update_watch(
 
 
 def find_problems(figures: LinkFigures, budget: RingBudget) -> list[str]:
-    """Returns what of the figures is beyond the budget, each with its figures.
+    """Returns the figures beyond the budget, a text for each.
 
     Args:
         figures: As measured.
-        budget: What the link may take.
+        budget: Limits of the link.
     """
     problems = []
     limit = (1.0 + budget.period_tolerance) * budget.period
@@ -270,11 +270,11 @@ def find_problems(figures: LinkFigures, budget: RingBudget) -> list[str]:
 def calc_clock_error(blocks: Sequence[tuple[float, float]]) -> float:
     """Returns how much slower a device's clock is, s/s; 0: not known yet.
 
-    The fastest frames tell of the clock, the others of what they waited for.
-    A delay that comes or goes changes one slope of three, not the median.
+    The fastest frames show the clock, the others their delays. A delay that
+    comes or goes changes one slope of three, not the median.
 
     Args:
-        blocks: Device's time and least of host minus device time, s. The last
+        blocks: Device's time and least host minus device time, s. The last
             one may still be growing and does not count.
     """
     whole = blocks[-2 - _SLOPES : -1]
@@ -287,7 +287,7 @@ def calc_clock_error(blocks: Sequence[tuple[float, float]]) -> float:
 
 
 def _add_to_blocks(blocks, timing, length):
-    """Returns the blocks with a frame more; the newest are enough."""
+    """Returns the newest blocks, with one more frame."""
     offset = timing.arrival - timing.device
     if not blocks or timing.device - blocks[-1][0] >= length:
         return (*blocks[-1 - _SLOPES :], (timing.device, offset))
@@ -296,7 +296,7 @@ def _add_to_blocks(blocks, timing, length):
 
 
 def _add(before, timing, budget):
-    """Returns the totals with a frame more."""
+    """Returns the totals with one more frame."""
     is_idle = timing.status == STATUS_NO_NEW_DATA
     is_fresh = ~is_idle & (timing.status != STATUS_BUS_FAILURE)
     is_late = timing.age > budget.max_age
@@ -322,7 +322,7 @@ def _measure(totals, clock_error, budget):
     if received == 0:
         return LinkFigures(clock_error=clock_error)
     frames = new.sequence - old.sequence
-    # While the window fills it is the whole one's frames that count.
+    # While the window fills, parts are of the frames of a whole window.
     all_frames = max(frames, budget.window / budget.period)
     period = (new.device - old.device) / frames
     late = new.late - old.late
@@ -343,11 +343,11 @@ def _measure(totals, clock_error, budget):
 
 
 def _measure_sensors(old, new, period, window):
-    """Returns each sensor's period, s, (n,): as counted or told; 0: unknown.
+    """Returns each sensor's period, s, (n,): counted or reported; 0: unknown.
 
-    Frames that were lost do not count: of those that came, a sensor was new
-    in so many. One that was started takes its time to its first sample, and
-    is counted only after half a window.
+    The counted period is that of the frames times their number over that of
+    new samples; lost frames do not count. A sensor that was just started takes
+    time to its first sample, and is counted only after half a window.
     """
     fresh, idle, told, told_ms = new.samples - old.samples
     answered = period * (fresh + idle)

@@ -3,14 +3,14 @@
 A frame that left the device at its time t arrives at the host's time
 t + offset + delay, with a delay of at least that of the fastest frames. Late
 frames therefore say nothing about the offset, and early ones everything: the
-offset is the least of host minus device time, which may rise again no faster
-than two clocks can drift apart. Whatever is queued up on the way then shows
-as an old sample, and can not pass for a slow clock.
+offset is the least host minus device time, which may rise again no faster
+than two clocks can drift apart. So a frame that was queued on the way shows as
+an old sample, and cannot pass for a slow clock.
 """
 
 import dataclasses as dc
 
-# The drift is measured over at most so many seconds, in steps of one.
+# The drift is measured over at most this many seconds, in steps of one.
 _SPAN = 30
 # Below this span it is not known, s.
 _LEAST_SPAN = 5.0
@@ -29,7 +29,7 @@ class ClockMap:
     lateness: float
     """By how much the last frame came later than the fastest ones, s."""
     anchors: tuple[tuple[float, float], ...] = ()
-    """Device times and offsets of before, about a second apart."""
+    """Earlier device times and offsets, about a second apart."""
 
     @property
     def drift(self) -> float:
@@ -45,13 +45,13 @@ class ClockMap:
         """Returns the host's time at a device time, s.
 
         It is later than the truth by the delay of the fastest frames, which
-        can not be told from an offset.
+        cannot be distinguished from an offset.
         """
         return device + self.offset
 
 
 def start_clock_map(*, device: float, host: float) -> ClockMap:
-    """Returns what one frame tells.
+    """Returns what is known after the first frame.
 
     Args:
         device: Device time in the frame, s.
@@ -70,16 +70,16 @@ def update_clock_map(
     max_drift: float,
     is_late: bool = False,
 ) -> ClockMap:
-    """Returns what is known after one frame more.
+    """Returns what is known after one more frame.
 
     Args:
         clock: What was known before.
-        device: Device time in the frame, s; after that of the frame before.
+        device: Device time in the frame, s; later than in the frame before.
         host: Host time of its arrival, s.
         max_drift: Greatest drift of the two clocks, s/s.
-        is_late: Samples of late were too old. The clock is taken to go on as
-            it was measured to: else a delay that stays would become an offset
-            little by little, and its samples young again.
+        is_late: Recent samples were too old. Then the clock is assumed to keep
+            its measured rate; otherwise a lasting delay would gradually
+            become an offset and its samples would seem young again.
     """
     elapsed = device - clock.device
     sample = host - device
@@ -101,9 +101,9 @@ def update_clock_map(
 
 
 def calc_earliness(clock: ClockMap, *, device: float, host: float) -> float:
-    """Returns by how much a frame comes before it can, s; negative: it is late.
+    """Returns by how much a frame comes too early, s; negative: it is late.
 
-    Two clocks that tick alike let no frame be much faster than the fastest:
-    a large value is a clock that jumped, or a queue that is being emptied.
+    While the clocks agree no frame is much faster than the fastest: a large
+    value means that a clock jumped or that a queue is being emptied.
     """
     return clock.offset - (host - device)

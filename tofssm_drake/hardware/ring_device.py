@@ -1,4 +1,4 @@
-"""What stands in for a ring's microcontroller: frames of simulated scans."""
+"""Stands in for a ring's microcontroller: sends frames of simulated scans."""
 
 import dataclasses as dc
 import errno
@@ -27,7 +27,7 @@ _MAX_BYTE = np.iinfo(np.uint8).max
 
 @dc.dataclass(frozen=True, kw_only=True)
 class DeviceClock:
-    """A device's clock as it differs from the true one."""
+    """How a device's clock differs from the true one."""
 
     start: float = 0.0
     """What it shows at time 0, s."""
@@ -35,7 +35,7 @@ class DeviceClock:
     """How much faster it is, s/s."""
 
     def calc_time_us(self, time: float) -> int:
-        """Returns what it shows, microseconds modulo 2^32.
+        """Returns the time shown, microseconds modulo 2^32.
 
         Args:
             time: True time, s.
@@ -87,21 +87,21 @@ class UdpSender:
         """Makes the socket.
 
         Raises:
-            UserError: There is no way to the address.
+            UserError: There is no route to the address.
         """
         self.target = str(address)
         self._address = (address.host, address.port)
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         try:
             self._socket.setblocking(False)
-            # By itself a datagram to 127.0.0.2 would come from 127.0.0.1.
+            # Unbound, a datagram to 127.0.0.2 would come from 127.0.0.1.
             if address.senders == (address.host,):
                 self._socket.bind((address.host, 0))
         except OSError as error:
             if error.errno != errno.EADDRNOTAVAIL:
                 self._socket.close()
                 raise UserError(
-                    f"{self.target}: can not send there: {error.strerror}"
+                    f"{self.target}: cannot send there: {error.strerror}"
                 ) from None
 
     def send(self, frame: RingFrame, is_damaged: bool = False) -> bool:
@@ -139,12 +139,12 @@ class PtySender:
         self.target = str(SerialAddress(path=self.path))
 
     def send(self, frame: RingFrame, is_damaged: bool = False) -> bool:
-        """Sends a frame, damaged on request; returns whether it left whole."""
+        """Sends a frame, damaged on request; returns whether all of it left."""
         data = encode_serial(frame)
         return self.send_bytes(damage(data) if is_damaged else data)
 
     def send_bytes(self, data: bytes) -> bool:
-        """Sends bytes; returns whether they left as a whole."""
+        """Sends bytes; returns whether all of them left."""
         try:
             return os.write(self._fd, data) == len(data)
         except BlockingIOError:
@@ -152,6 +152,6 @@ class PtySender:
             return False
 
     def close(self) -> None:
-        """Closes both ends: the line is gone."""
+        """Closes both ends of the line."""
         os.close(self._fd)
         os.close(self._other_end)

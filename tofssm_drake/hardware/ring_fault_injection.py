@@ -1,4 +1,4 @@
-"""Faults of rings and of their wires, put in on purpose."""
+"""Faults of rings and of their wires, injected on purpose."""
 
 from collections.abc import Callable, Iterable
 import dataclasses as dc
@@ -32,24 +32,24 @@ _CLOCK_ERROR = 0.01
 
 @dc.dataclass(kw_only=True)
 class _Memory:
-    """What a fault knows of the frames since it began."""
+    """What a fault remembers of the frames since it began."""
 
     first: RingFrame
-    """The first one as it should have been."""
+    """The first one, undisturbed."""
     count: int = -1
-    """Frames before this one."""
+    """Number of frames before this one."""
     held: list[RingFrame] = dc.field(default_factory=list)
-    """Such that come later."""
+    """Frames held back."""
     sent: int = 0
-    """Frames that a slow device has sent."""
+    """Number of frames that a slow device has sent."""
     random: np.random.Generator = dc.field(
         default_factory=lambda: np.random.default_rng(0)
     )
 
 
 Change = Callable[[RingFrame, np.ndarray, _Memory], RingFrame | None]
-"""Returns the frame as the fault leaves it; None: it does not come. The array
-tells which sensors are concerned, (n,) bool."""
+"""Returns the frame after the fault; None: it does not come. The array says
+which sensors are affected, (n,) bool."""
 
 
 @dc.dataclass(frozen=True, kw_only=True)
@@ -60,9 +60,9 @@ class _Kind:
     """In words."""
     change: Change = lambda frame, hit, memory: frame
     per_sensor: bool = False
-    """Whether it may be one sensor's alone."""
+    """Whether it may affect a single sensor."""
     delay: float = 0.0
-    """By how much frames come later, s."""
+    """Delay of the frames, s."""
     damages: bool = False
     """Whether a bit of the frame is wrong."""
 
@@ -211,7 +211,7 @@ _KINDS = {
         per_sensor=True,
     ),
     "restart": _Kind(
-        what="the device starts anew with each frame", change=_restart
+        what="the device restarts with each frame", change=_restart
     ),
     **{
         f"status{n}": _Kind(
@@ -241,7 +241,7 @@ _KINDS = {
         per_sensor=True,
     ),
     "blind": _Kind(
-        what="nothing comes back, for ever",
+        what="nothing returns, permanently",
         change=_see(_MAX_MM, STATUS_SIGNAL_FAIL),
         per_sensor=True,
     ),
@@ -259,11 +259,11 @@ _KINDS = {
         what="the device's clock 1 % slow", change=_run_clock(-_CLOCK_ERROR)
     ),
     "period37": _Kind(
-        what="a frame each 37 ms at most", change=_slow_down(0.037)
+        what="at most one frame per 37 ms", change=_slow_down(0.037)
     ),
     **{
         f"slow{ms}": _Kind(
-            what=f"new in each {keep}. frame only",
+            what=f"new samples only in one frame of {keep}",
             change=_skip(keep, ms),
             per_sensor=True,
         )
@@ -295,7 +295,7 @@ FAULTS = {kind: entry.what for kind, entry in _KINDS.items()}
 SENSOR_FAULTS = tuple(
     kind for kind, entry in _KINDS.items() if entry.per_sensor
 )
-"""Kinds that may be one sensor's alone."""
+"""Kinds that may affect a single sensor."""
 
 
 @dc.dataclass(frozen=True, kw_only=True)
@@ -311,7 +311,7 @@ class RingFault:
     end: float = np.inf
     """Until when, s."""
     sensor: int | None = None
-    """Index of the only sensor concerned; None: all."""
+    """Index of the only sensor affected; None: all."""
 
 
 def parse_ring_fault(
@@ -321,11 +321,11 @@ def parse_ring_fault(
 
     Args:
         text: What the user wrote.
-        where: As what.
+        where: Where the user wrote it.
         sensors: Of each ring.
 
     Raises:
-        UserError: It is none.
+        UserError: It is not a fault.
     """
     form = (
         "use KIND:RING[.SENSOR]@START[-END], e.g. silent:elbow@20-25 or "
@@ -335,7 +335,7 @@ def parse_ring_fault(
         r"([a-z]+\d*):([a-z]+)(?:\.(\d+))?@(\d+\.?\d*)(?:-(\d+\.?\d*))?", text
     )
     if match is None:
-        raise UserError(f"{where}: {text!r} is no fault; {form}")
+        raise UserError(f"{where}: {text!r} is not a fault; {form}")
     kind, ring, sensor, start, end = match.groups()
     require(
         kind in FAULTS,
@@ -351,7 +351,7 @@ def parse_ring_fault(
     )
     require(
         sensor is None or kind in SENSOR_FAULTS,
-        f"{where}: {kind!r} is of a whole ring, write {kind}:{ring}@{start}",
+        f"{where}: {kind!r} concerns a whole ring, write {kind}:{ring}@{start}",
     )
     fault = RingFault(
         kind=kind,
@@ -372,16 +372,16 @@ class Delivery:
     """A frame on its way."""
 
     time: float
-    """When it comes, s, on the clock of the faults."""
+    """When it arrives, s, on the clock of the faults."""
     frame: RingFrame
     is_damaged: bool = False
 
 
 class FaultInjector:
-    """Does to one ring's frames what its faults do.
+    """Applies the faults of one ring to its frames.
 
-    A clock that was wrong shows the right time again at the end of its fault,
-    which may be a jump back: a real device begins anew then.
+    At the end of its fault a wrong clock shows the right time again, which may
+    be a jump back: a real device restarts then.
 
     Attributes:
         faults: Of this ring.
@@ -394,7 +394,7 @@ class FaultInjector:
         self._deliveries: list[Delivery] = []
 
     def put(self, frame: RingFrame, time: float) -> None:
-        """Takes a frame as the device made it.
+        """Takes a frame from the device.
 
         Args:
             frame: The frame.
@@ -421,7 +421,7 @@ class FaultInjector:
         )
 
     def take(self, time: float) -> list[Delivery]:
-        """Returns what has come by now and was not taken yet, oldest first.
+        """Returns the frames that arrived since the last call, oldest first.
 
         Args:
             time: Now, s, on the clock of the faults.
@@ -432,7 +432,7 @@ class FaultInjector:
 
 
 def damage(data: bytes) -> bytes:
-    """Returns the bytes with one bit of the middle one changed."""
+    """Returns the bytes with one bit of the middle byte changed."""
     middle = len(data) // 2
     # Not to zero: on a serial line that would end the frame.
     bit = 0x40 if data[middle] != 0x40 else 0x20

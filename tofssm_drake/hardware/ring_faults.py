@@ -13,7 +13,7 @@ def count_repeats(
     before: Sequence[np.ndarray],
     now: Sequence[np.ndarray],
 ) -> np.ndarray:
-    """Counts how often each sensor has repeated its sample to the last bit.
+    """Counts how often each sensor has repeated its sample bit for bit.
 
     Args:
         repeats: The counts so far, (n,).
@@ -22,8 +22,7 @@ def count_repeats(
         now: Those of this frame.
 
     Returns:
-        The counts with this frame, (n,). Where there is no new data the count
-        is what it was.
+        The counts with this frame, (n,), unchanged where there is no new data.
     """
     (mm_before, status_before), (mm, status) = before, now
     is_same = (mm == mm_before) & (status == status_before)
@@ -34,22 +33,22 @@ def count_repeats(
 def find_frozen_sensors(
     repeats: np.ndarray, *, status: np.ndarray, frozen_samples: int
 ) -> np.ndarray:
-    """Tells which sensors do not measure any more, though they answer.
+    """Returns which sensors have stopped measuring, though they answer.
 
-    A measured distance has noise: a sensor that repeats one to the last bit
-    is frozen. A sensor without a return proves nothing, since a device may
-    report one and the same number for it.
+    A measured distance has noise: a sensor that repeats one bit for bit is
+    frozen. A sensor without a return proves nothing, since a device may always
+    report the same number for it.
 
-    Where no sensor of the ring changes it is the device that repeats itself,
-    and nothing that the ring says counts. The repetitions of all sensors
-    with a distance are taken together then: eight of them are as little of a
-    coincidence in 4 frames as one is in 25.
+    If no sensor of the ring changes, the device repeats itself and nothing
+    that the ring reports counts. Then the repetitions of all sensors with a
+    distance are added up: eight of them in 4 frames are as unlikely a
+    coincidence as one in 25.
 
     Args:
         repeats: From `count_repeats`, (n,).
         status: Range status of each sensor's last fresh sample, (n,).
-        frozen_samples: So many repetitions are no coincidence; 0: whatever
-            repeats is fine.
+        frozen_samples: This many repetitions are not a coincidence; 0: any
+            number is.
 
     Returns:
         Whether each sensor is frozen, (n,).

@@ -1,8 +1,8 @@
-"""The binary frame in which a ring sends its samples: bytes and nothing else.
+"""The binary frame in which a ring sends its samples: encoding and decoding.
 
 One frame holds one scan of one ring. A datagram carries it as it is; a serial
-line carries it in COBS (consistent overhead byte stuffing) with a zero byte
-after it, so that a reader finds the next frame after any damage. All numbers
+line carries it in COBS (consistent overhead byte stuffing) followed by a zero
+byte, so that a reader finds the next frame after any damage. All numbers
 are little-endian; docs/ring_link.md is the specification.
 
 | offset   | size | field                                                   |
@@ -28,13 +28,13 @@ import numpy as np
 SENSOR_COUNTS = (8, 16)
 
 FLAG_RESTARTED = 0x01
-"""The device has started anew since its last frame."""
+"""The device has restarted since its last frame."""
 FLAG_ODD = 0x02
-"""The odd sensors' turn, where even and odd ones take turns."""
+"""The odd sensors' turn, if even and odd ones take turns."""
 FLAG_BUS_ERROR = 0x04
 """A sensor did not answer on the I2C bus."""
 FLAG_SELF_TEST = 0x80
-"""Numbers that the device made up: no measurement."""
+"""Numbers made up by the device, not measured."""
 _KNOWN_FLAGS = FLAG_RESTARTED | FLAG_ODD | FLAG_BUS_ERROR | FLAG_SELF_TEST
 
 SEQUENCE_BITS = 16
@@ -50,17 +50,17 @@ _VERSION = 2
 
 
 def calc_frame_size(sensors: int) -> int:
-    """Returns the bytes of a frame of n sensors, without COBS."""
+    """Returns the size of a frame of n sensors in bytes, without COBS."""
     return _HEADER.size + _SAMPLE.itemsize * sensors + _CRC.size
 
 
-# A block of COBS is longer than a frame: one byte more, and the delimiter is
-# not counted.
+# A frame is shorter than a block of COBS, which then adds one byte; the
+# delimiter is not counted.
 _LONGEST_PIECE = calc_frame_size(max(SENSOR_COUNTS)) + 1
 
 
 class FrameError(ValueError):
-    """Bytes that are no frame.
+    """Bytes that are not a frame.
 
     Attributes:
         kind: What is wrong: "cobs", "length", "magic", "version", "flags" or
@@ -68,7 +68,7 @@ class FrameError(ValueError):
     """
 
     def __init__(self, kind: str):
-        super().__init__(f"no ring frame: wrong {kind}")
+        super().__init__(f"not a ring frame: wrong {kind}")
         self.kind = kind
 
 
@@ -145,9 +145,9 @@ def encode_frame(frame: RingFrame) -> bytes:
 
 
 def peek_ring(data: bytes) -> int | None:
-    """Returns the ring's number in what begins like a frame; else None.
+    """Returns the ring's number if the bytes begin like a frame; else None.
 
-    It costs a hundredth of decoding it, and proves nothing.
+    It costs a hundredth of decoding the frame, and proves nothing.
     """
     if len(data) < _HEADER.size or data[:3] != _MAGIC + bytes([_VERSION]):
         return None
@@ -155,10 +155,10 @@ def peek_ring(data: bytes) -> int | None:
 
 
 def decode_frame(data: bytes) -> RingFrame:
-    """Returns the frame that the bytes are, all of them.
+    """Decodes a frame; the bytes must be exactly one.
 
     Raises:
-        FrameError: They are none.
+        FrameError: They are not a frame.
     """
     size = len(data)
     if size < _HEADER.size:
@@ -191,7 +191,7 @@ def decode_frame(data: bytes) -> RingFrame:
 
 
 def encode_serial(frame: RingFrame) -> bytes:
-    """Returns what goes over a serial line for a frame."""
+    """Returns the bytes of a frame on a serial line."""
     return cobs.encode(encode_frame(frame)) + b"\0"
 
 
@@ -203,15 +203,15 @@ def _decode_cobs(piece):
 
 
 class FrameStream:
-    """Finds the frames in the bytes of a serial line, in whatever pieces.
+    """Finds the frames in the bytes of a serial line, however they are split.
 
-    A damaged frame is dropped and counted; the next delimiter is where it
-    goes on. The memory that it takes is bounded whatever comes.
+    A damaged frame is dropped and counted; reading resumes at the next
+    delimiter. Memory is bounded, whatever comes.
 
     Attributes:
-        errors: How many pieces were no frame, by `FrameError.kind`. What
-            comes before the first delimiter is not counted: a reader may
-            start in the middle of a frame.
+        errors: Number of pieces that were not a frame, by `FrameError.kind`.
+            What comes before the first delimiter is not counted: a reader
+            may start in the middle of a frame.
     """
 
     def __init__(self):
@@ -222,7 +222,7 @@ class FrameStream:
     def push(self, data: bytes) -> list[RingFrame]:
         """Returns the frames that these bytes complete, oldest first."""
         *pieces, rest = (self._rest + data).split(b"\0")
-        # Too long a piece stays too long, however long it gets.
+        # A piece that is too long is cut; it stays too long.
         self._rest = rest[: _LONGEST_PIECE + 1]
         frames = []
         for piece in pieces:
@@ -241,12 +241,12 @@ class FrameStream:
 
 
 def unwrap(value: int, near: int, bits: int) -> int:
-    """Returns the number nearest to another one with the given low bits.
+    """Returns the number with the given low bits that is nearest to another.
 
     Args:
         value: The low bits, from a counter that wraps.
-        near: A number that is known in full.
-        bits: How many bits the counter has.
+        near: The other number.
+        bits: Number of bits of the counter.
     """
     half = 1 << (bits - 1)
     return near + (value - near + half) % (2 * half) - half

@@ -1,9 +1,8 @@
 """The connection to real rings: sockets, serial lines, and one thread.
 
-The thread reads whatever comes, as soon as it comes, and keeps the newest
-scan of each ring. It never raises into its user: what goes wrong is told in
-`RingLinkStatus`, no new scans come, and the monitor's deadline stops the
-robot.
+The thread reads everything as soon as it arrives and keeps the newest scan of
+each ring. It never raises into its user: what goes wrong is reported in
+`RingLinkStatus`, no new scans come, and the monitor's deadline stops the robot.
 """
 
 from collections.abc import Callable, Sequence
@@ -33,29 +32,29 @@ from tofssm_drake.hardware.ring_receiver import RingCounts, RingDecoder
 from tofssm_drake.messages import RingScan
 
 Tap = Callable[[float, str, bytes], None]
-"""Called with the arrival time, s, the source and the bytes of whatever comes
-from where it may come, before it is decoded; in the reader's thread."""
+"""Called in the reader's thread with arrival time, s, source and bytes of all
+that comes from permitted senders, before it is decoded."""
 
 _REOPEN_PERIOD = 0.5
 _LONGEST_READ = 4096
-# What the system keeps until it is read, bytes; it may grant less.
+# Size of the system's receive buffer, bytes; it may grant less.
 _BUFFER = 1 << 20
 
 
 @dc.dataclass(frozen=True, kw_only=True)
 class RingLinkStatus:
-    """How the link does; never changes after it was made."""
+    """How the link is doing; immutable."""
 
     source: str
     """Where the frames come from."""
     error: str = ""
-    """Why nothing comes; empty: nothing is known to be wrong."""
+    """Why nothing comes; empty: no known reason."""
     counts: dict[str, RingCounts]
     """What happened to each ring's frames."""
     corrupt: int = 0
     """Damaged frames."""
     foreign: int = 0
-    """Datagrams of senders that are not named."""
+    """Datagrams of other senders."""
     unknown: int = 0
     """Frames of rings that are not ours."""
     measured: dict[str, float]
@@ -82,19 +81,19 @@ class RingLinkStatus:
             faults[name] = sum(getattr(c, name) for c in self.counts.values())
         faults["wrong_size"] = sum(c.wrong_size for c in self.counts.values())
         faults["frozen"] = sum(c.frozen for c in self.counts.values())
-        told = [
+        texts = [
             f"{ring}: {problem} ({describe_figures(self.figures[ring])})"
             for ring, problem in self.problem.items()
             if problem
         ]
-        told += [f"{n} {name}" for name, n in faults.items() if n]
+        texts += [f"{n} {name}" for name, n in faults.items() if n]
         if self.error:
-            told.insert(0, self.error)
-        return "; ".join([", ".join(ages), *told])
+            texts.insert(0, self.error)
+        return "; ".join([", ".join(ages), *texts])
 
 
 def describe_figures(figures: LinkFigures) -> str:
-    """Says in some words what was measured of a link."""
+    """Says in a few words what was measured of a link."""
     if math.isnan(figures.period):
         return "not measured yet"
     return (
@@ -105,9 +104,9 @@ def describe_figures(figures: LinkFigures) -> str:
 
 
 def calc_measured_time(scan: RingScan) -> float:
-    """Returns when the oldest sample was measured, s; -inf: none is known.
+    """Returns when the oldest sample was measured, s; -inf: unknown.
 
-    A sample whose age the device could not tell does not count.
+    Samples of unknown age do not count.
     """
     is_known = np.isfinite(scan.sensor_time)
     if not is_known.any():
@@ -116,16 +115,16 @@ def calc_measured_time(scan: RingScan) -> float:
 
 
 class RingConnection(Protocol):
-    """What the systems need of a link."""
+    """What the systems need from a link."""
 
     def get_scans(self) -> tuple[RingScan, ...]:
         """Returns the newest scan of each ring, on the host's clock."""
 
     def get_status(self) -> RingLinkStatus:
-        """Returns how the link does."""
+        """Returns how the link is doing."""
 
     def wait_for_scans(self, timeout: float) -> bool:
-        """Returns whether each ring delivered a scan within so many s."""
+        """Waits at most that long, s; returns whether every ring delivered."""
 
     def close(self) -> None:
         """Ends the link; may be called again."""
@@ -134,10 +133,10 @@ class RingConnection(Protocol):
 def make_status(
     decoder: RingDecoder, *, source: str, foreign: int = 0, error: str = ""
 ) -> RingLinkStatus:
-    """Returns the status of a link that decodes with this decoder."""
+    """Returns the status of a link with this decoder."""
     counts = decoder.counts
-    told = [f"two devices have the number of {r}" for r in decoder.contested]
-    error = "; ".join([*told, error] if error else told)
+    texts = [f"two devices have the number of {r}" for r in decoder.contested]
+    error = "; ".join([*texts, error] if error else texts)
     return RingLinkStatus(
         source=source,
         error=error,
@@ -176,18 +175,18 @@ def explain_silence(status: RingLinkStatus) -> str:
 
 
 class UdpTransport:
-    """A socket that is bound to one interface.
+    """A socket bound to one interface.
 
     Attributes:
-        foreign: Datagrams of senders that are not named; dropped.
-        port: The port that is bound, also where 0 was asked for.
+        foreign: Number of datagrams of other senders, which are dropped.
+        port: The bound port, also if 0 was asked for.
     """
 
     def __init__(self, address: UdpAddress):
         """Binds the socket.
 
         Raises:
-            UserError: It can not be bound.
+            UserError: It cannot be bound.
         """
         self.source = str(address)
         self.foreign = 0
@@ -195,12 +194,12 @@ class UdpTransport:
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         try:
             self._socket.setblocking(False)
-            # What comes in a burst must not push a ring's frame out.
+            # A burst must not push out a ring's frame.
             self._socket.setsockopt(
                 socket.SOL_SOCKET, socket.SO_RCVBUF, _BUFFER
             )
             if address.interface:
-                # By itself an address takes what comes in anywhere.
+                # An address alone accepts what comes in on any interface.
                 self._socket.setsockopt(
                     socket.SOL_SOCKET,
                     socket.SO_BINDTODEVICE,
@@ -210,7 +209,7 @@ class UdpTransport:
         except OSError as error:
             self._socket.close()
             raise UserError(
-                f"{self.source}: can not listen there: {error.strerror}"
+                f"{self.source}: cannot listen there: {error.strerror}"
             ) from None
         self.port = self._socket.getsockname()[1]
 
@@ -219,9 +218,9 @@ class UdpTransport:
         return self._socket.fileno()
 
     def receive(self) -> list[bytes]:
-        """Returns the datagrams of our senders that wait, oldest first."""
+        """Returns the waiting datagrams of our senders, oldest first."""
         datagrams = []
-        # Bounded, so that a flood of one sender can not starve the others.
+        # Bounded, so that a flood of one sender cannot starve the others.
         for _ in range(64):
             try:
                 data, sender = self._socket.recvfrom(_LONGEST_READ)
@@ -248,10 +247,10 @@ class SerialTransport:
     foreign = 0
 
     def __init__(self, address: SerialAddress):
-        """Opens the line and throws away what lies in its buffer.
+        """Opens the line and discards what is in its buffer.
 
         Raises:
-            UserError: It can not be opened.
+            UserError: It cannot be opened.
         """
         self.source = str(address)
         try:
@@ -264,14 +263,14 @@ class SerialTransport:
             if number in (errno.EAGAIN, errno.EBUSY):
                 reason = "another program has it"
             else:
-                # What can be opened and not be configured is something else.
+                # It can be opened but not configured.
                 reason = (
                     os.strerror(number)
                     if number and number != errno.ENOTTY
-                    else "it is no serial line"
+                    else "it is not a serial line"
                 )
             raise UserError(
-                f"{self.source}: can not open it: {reason}"
+                f"{self.source}: cannot open it: {reason}"
             ) from None
 
     def fileno(self) -> int:
@@ -279,7 +278,7 @@ class SerialTransport:
         return self._serial.fileno()
 
     def receive(self) -> list[bytes]:
-        """Returns the bytes that wait.
+        """Returns the waiting bytes.
 
         Raises:
             OSError: The line is gone.
@@ -297,10 +296,10 @@ class SerialTransport:
 
 
 def open_transport(address: RingAddress) -> UdpTransport | SerialTransport:
-    """Opens what an address names.
+    """Opens an address.
 
     Raises:
-        UserError: It can not be opened.
+        UserError: It cannot be opened.
     """
     if isinstance(address, UdpAddress):
         return UdpTransport(address)
@@ -310,8 +309,8 @@ def open_transport(address: RingAddress) -> UdpTransport | SerialTransport:
 class RingLink:
     """Receives frames over UDP and serial lines in one thread.
 
-    A context manager: the thread and what it reads end with it. A serial line
-    that breaks is opened again, and its rings start anew.
+    A context manager: at its end the thread ends and all is closed. A serial
+    line that breaks is reopened, and its rings start again.
     """
 
     def __init__(
@@ -325,11 +324,11 @@ class RingLink:
 
         Args:
             addresses: Where the rings' frames come from.
-            decoder: Of this link alone.
+            decoder: Used by this link only.
             tap: Sees all that comes, e.g. to record it.
 
         Raises:
-            UserError: An address can not be opened, or is there twice.
+            UserError: An address cannot be opened, or is given twice.
         """
         require_distinct(addresses)
         self._decoder = decoder
@@ -368,7 +367,7 @@ class RingLink:
         return self._scans
 
     def get_status(self) -> RingLinkStatus:
-        """Returns how the link does."""
+        """Returns how the link is doing."""
         with self._changed:
             return make_status(
                 self._decoder,
@@ -378,7 +377,7 @@ class RingLink:
             )
 
     def wait_for_scans(self, timeout: float) -> bool:
-        """Returns whether each ring delivered a scan within so many s."""
+        """Waits at most that long, s; returns whether every ring delivered."""
         with self._changed:
             return self._changed.wait_for(
                 lambda: all(scan.sequence >= 0 for scan in self._scans),
@@ -389,7 +388,7 @@ class RingLink:
         """Ends the thread and closes everything; may be called again."""
         self._closing = True
         if self._thread.is_alive():
-            # It may be about to end by itself: a frame has just come.
+            # It may be about to end anyway: a frame has just come.
             with contextlib.suppress(OSError):
                 self._wake.send(b"\0")
             self._thread.join()
@@ -464,17 +463,17 @@ class RingLink:
 
 
 class LoopbackRingLink:
-    """A link whose frames are handed in, for tests and for replay."""
+    """A link whose frames are handed in, for tests and replays."""
 
     def __init__(self, *, decoder: RingDecoder):
         self._decoder = decoder
 
     def put_datagram(self, data: bytes, arrival: float) -> bool:
-        """Takes a datagram that came at a host's time; s, does not fall."""
+        """Takes a datagram that came at that host time, s, never decreasing."""
         return self._decoder.receive_datagram(data, arrival)
 
     def put_serial(self, source: str, data: bytes, arrival: float) -> bool:
-        """Takes bytes of a line that came at a host's time, likewise."""
+        """Takes bytes of a line that came at that host time, likewise."""
         return self._decoder.receive_serial(source, data, arrival)
 
     def get_scans(self) -> tuple[RingScan, ...]:
@@ -482,11 +481,11 @@ class LoopbackRingLink:
         return self._decoder.scans
 
     def get_status(self) -> RingLinkStatus:
-        """Returns how the link does."""
+        """Returns how the link is doing."""
         return make_status(self._decoder, source="loopback")
 
     def wait_for_scans(self, timeout: float) -> bool:
-        """Returns whether each ring has delivered; nothing comes by waiting."""
+        """Returns at once whether every ring has delivered."""
         return all(scan.sequence >= 0 for scan in self._decoder.scans)
 
     def close(self) -> None:
@@ -494,7 +493,7 @@ class LoopbackRingLink:
 
 
 class NullRingLink:
-    """No rings: no scan ever comes, which the monitor takes for a fault."""
+    """No rings: no scan ever comes, which is a fault for the monitor."""
 
     def __init__(self, *, decoder: RingDecoder):
         self._status = make_status(decoder, source="null")
@@ -509,7 +508,7 @@ class NullRingLink:
         return self._status
 
     def wait_for_scans(self, timeout: float) -> bool:
-        """Does not wait, and returns False."""
+        """Returns False at once."""
         return False
 
     def close(self) -> None:

@@ -1,7 +1,7 @@
 """From a ring's frames to the scans that the monitor takes.
 
-No clock, no socket: what comes out follows from the bytes and the times at
-which they came. So a recording of both gives the same scans again.
+No clock, no socket: the scans follow from the bytes and their times of
+arrival, so a recording of both gives the same scans again.
 """
 
 from collections.abc import Sequence
@@ -54,11 +54,11 @@ from tofssm_drake.sensing.vl53l1x import (
 
 _SATURATED_AGE = 255
 
-# So many frames in a row from before the last one are a device that started
-# anew, and not datagrams that overtook each other.
+# This many frames in a row from before the last one mean that the device has
+# restarted, not that datagrams overtook each other.
 _OLD_FRAMES = 3
-# Old frames between good ones come of a second device with the same number.
-# Each counts 1, a good one takes back less; from the limit on it is sure.
+# Old frames between good ones come from a second device with the same number.
+# Each adds 1, a good frame takes off less; from the limit on it is certain.
 _PER_GOOD_FRAME = 0.4
 _CONTESTED = 8.0
 _MOST_CONTESTED = 16.0
@@ -68,39 +68,39 @@ _MOST_CONTESTED = 16.0
 class RingLinkConfig:
     """How the frames of real rings are received."""
 
-    # Number in the frames of the rings base, elbow and tool.
+    # Numbers of the rings base, elbow and tool in their frames.
     ring_numbers: list[int] = dc.field(default_factory=lambda: [0, 1, 2])
 
     # Greatest drift between a device's clock and the host's, s/s (*assumed*:
     # two crystals of 100 ppm). The samples of a clock that is slower look
-    # ever older, which stops the robot. What is told as a wrong clock is
-    # RingBudget.max_clock_error.
+    # ever older, which stops the robot. A wrong clock is reported from
+    # RingBudget.max_clock_error on.
     max_drift: float = 200e-6
 
-    # From the end of a scan to the arrival of its frame, at least, s
-    # (*assumed*: 48 bytes at 921600 baud and a USB packet). It can not be
-    # measured; samples are taken for that much older than they look.
+    # Least time from the end of a scan to the arrival of its frame, s
+    # (*assumed*: 48 bytes at 921600 baud and a USB packet). It cannot be
+    # measured; samples are taken to be that much older than they look.
     min_delay: float = 0.001
 
-    # A device must deliver this long before its scans count, s: its clock has
-    # to be known first, and what lay in a buffer must be through.
+    # A device must deliver for this long before its scans count, s: until its
+    # clock is known and old frames have drained from buffers.
     settle_time: float = 0.5
 
-    # A frame that comes this much before the fastest so far is a clock that
-    # jumped: the device counts as started anew, s.
+    # If a frame comes earlier than the fastest so far by this much, s, a clock
+    # has jumped: the device counts as restarted.
     max_earliness: float = 0.02
 
     # A frame that comes this much after the fastest ones is counted as late,
-    # s. Only counted: its samples carry their true age.
+    # s. It is only counted: its samples have their true age.
     late: float = 0.02
 
-    # A distance that is repeated so often to the last bit is a frozen sensor,
-    # and so many repetitions of all sensors of a ring, none of which changes,
-    # are a frozen device (*assumed*). Even with 0.75 mm of noise, 0.15 % of
-    # half a metre, two samples are equal with a probability of 0.35, and 25
-    # in a row come once in some years with 24 sensors at 42 Hz. (With 20 ms
-    # of integration the datasheet's noise is 2.3 mm or more, 0.13.) 0: noise
-    # is not expected, as of ideal sensors, and repetitions are fine.
+    # A sensor that repeats a distance bit for bit this often is frozen; if no
+    # sensor of a ring changes and their repetitions add up to it, the device
+    # is (*assumed*). Even with 0.75 mm of noise, 0.15 % of half a metre, two
+    # samples are equal with a probability of 0.35, and 25 in a row come once
+    # in some years with 24 sensors at 42 Hz. (With 20 ms of integration the
+    # datasheet's noise is 2.3 mm or more, 0.13.) 0: noise is not expected, as
+    # of ideal sensors, and repetitions are fine.
     frozen_samples: int = 25
 
     def check(self, where: str) -> None:
@@ -130,25 +130,25 @@ class RingCounts:
     """What happened to the frames of one ring."""
 
     received: int = 0
-    """Frames of this ring that were whole."""
+    """Undamaged frames of this ring."""
     delivered: int = 0
-    """Of those, such that became scans."""
+    """Those that became scans."""
     lost: int = 0
     """Missing in the sequence."""
     duplicated: int = 0
-    """The same sequence and time once more."""
+    """Repeated sequence and time."""
     out_of_order: int = 0
     """From before the last one."""
     restarts: int = 0
-    """The device, its clock or the link began anew."""
+    """Restarts of the device, its clock or the link."""
     late: int = 0
     """See RingLinkConfig.late."""
     wrong_size: int = 0
-    """Of another number of sensors than the ring has."""
+    """Number of sensors is not the ring's."""
     frozen: int = 0
     """Scans with a frozen sensor."""
     self_test: int = 0
-    """Made-up numbers: delivered as faulted."""
+    """Scans of made-up numbers: faulted."""
     contested: int = 0
     """Scans while another device sent frames of the same ring: faulted."""
 
@@ -156,19 +156,19 @@ class RingCounts:
 class RingReceiver:
     """Turns the frames of one ring into scans on the host's clock.
 
-    A frame becomes a scan or nothing. Nothing comes of one that is not newer
-    than the last, is of another number of sensors, or comes while the
-    device's clock is not known well enough; then the sequence stands still
-    and the monitor's deadline stops the robot. What the host itself finds
-    wrong with a sample becomes its status: STATUS_FROZEN, STATUS_SELF_TEST or
-    STATUS_CONTESTED. A link that does not keep to its budget puts what is
-    wrong into each scan's `problem`. All these are faults to the monitor.
+    A frame becomes a scan unless it is not newer than the last, has another
+    number of sensors, or comes while the device's clock is not known well
+    enough; then the sequence stands still and the monitor's deadline stops the
+    robot. What the host itself finds wrong with a sample becomes its status:
+    STATUS_FROZEN, STATUS_SELF_TEST or STATUS_CONTESTED. What exceeds the link's
+    budget is put into each scan's `problem`. All these are faults for the
+    monitor.
 
     Attributes:
         counts: RingCounts so far.
         scan: The newest scan; empty before the first.
         clock: What is known of the device's clock; None: nothing.
-        watch: How the link keeps to its budget.
+        watch: Compares the link with its budget.
     """
 
     def __init__(
@@ -184,9 +184,9 @@ class RingReceiver:
         Args:
             config: Settings.
             num_sensors: n of the ring.
-            timing_budget: Integration time of the sensors, s; the middle of
-                it is a sample's time.
-            budget: What the link may take.
+            timing_budget: Integration time of the sensors, s; its middle is a
+                sample's time.
+            budget: Limits of the link.
         """
         self._config = config
         self._budget = budget
@@ -213,7 +213,7 @@ class RingReceiver:
 
         Args:
             frame: Of this ring.
-            arrival: Host's monotonic time at which it came, s; does not fall.
+            arrival: Host's monotonic time of arrival, s, never decreasing.
         """
         self.counts.received += 1
         if len(frame.mm) != self._num_sensors:
@@ -243,11 +243,11 @@ class RingReceiver:
         return self.scan
 
     def _follow(self, frame, arrival):
-        """Takes a frame's sequence and time; returns whether it is newer."""
+        """Follows sequence and clock; returns whether the frame is newer."""
         if self.clock is None:
-            return self._start_anew(frame, arrival, is_first=True)
+            return self._restart(frame, arrival, is_first=True)
         sequence = unwrap(frame.sequence, self._sequence, SEQUENCE_BITS)
-        # Where its clock should be by now: a silence may be long.
+        # Where its clock should be by now, even after a long silence.
         elapsed_us = round(1e6 * (arrival - self._arrival))
         time_us = unwrap(frame.time_us, self._time_us + elapsed_us, TIME_BITS)
         device = 1e-6 * time_us
@@ -255,17 +255,17 @@ class RingReceiver:
             self.counts.duplicated += 1
             return False
         if frame.flags & FLAG_RESTARTED:
-            return self._start_anew(frame, arrival)
+            return self._restart(frame, arrival)
         if sequence <= self._sequence or time_us <= self._time_us:
             self.counts.out_of_order += 1
             self._old_frames += 1
             self._doubt = min(self._doubt + 1.0, _MOST_CONTESTED)
             if self._old_frames < _OLD_FRAMES:
                 return False
-            return self._start_anew(frame, arrival)
+            return self._restart(frame, arrival)
         earliness = calc_earliness(self.clock, device=device, host=arrival)
         if earliness > self._config.max_earliness:
-            return self._start_anew(frame, arrival)
+            return self._restart(frame, arrival)
         self.counts.lost += sequence - self._sequence - 1
         self._sequence = sequence
         self._time_us = time_us
@@ -278,7 +278,7 @@ class RingReceiver:
         )
         return True
 
-    def _start_anew(self, frame, arrival, *, is_first=False):
+    def _restart(self, frame, arrival, *, is_first=False):
         if not is_first:
             self.counts.restarts += 1
         self._sequence = frame.sequence
@@ -290,7 +290,7 @@ class RingReceiver:
 
     def _forget_samples(self):
         n = self._num_sensors
-        # No sample has these numbers: the first one repeats nothing.
+        # No sample has these numbers, so the first is not a repetition.
         self._mm = np.full(n, -1)
         self._status = np.full(n, STATUS_NONE, dtype=np.uint8)
         self._repeats = np.zeros(n, dtype=int)
@@ -320,12 +320,12 @@ class RingReceiver:
             - 1e-3 * frame.age_ms
             - self._half_budget
         )
-        # How old it is can not be told any more.
+        # Its age is not known any more.
         sensor_time[frame.age_ms == _SATURATED_AGE] = -np.inf
         return sensor_time
 
     def _watch_link(self, frame, arrival, sensor_time):
-        """Measures the link by a frame that is newer than the last."""
+        """Measures the link with a frame newer than the last."""
         is_new = np.isfinite(sensor_time) & ~np.isin(
             frame.status, (STATUS_NO_NEW_DATA, STATUS_BUS_FAILURE)
         )
@@ -344,7 +344,7 @@ class RingReceiver:
 
     def _judge_samples(self, frame, is_frozen):
         """Returns each sample's status, with what the host found wrong."""
-        # The host's own numbers mean nothing when they come over the wire.
+        # The host's own numbers have no meaning in a frame.
         is_unknown = (frame.status >= STATUS_FROZEN) & (
             frame.status < STATUS_BUS_FAILURE
         )
@@ -362,7 +362,7 @@ class RingReceiver:
 
 
 class RingDecoder:
-    """Turns what comes over the wires into scans of all rings.
+    """Turns received bytes into scans of all rings.
 
     Attributes:
         unknown: Frames of rings that are not ours.
@@ -383,8 +383,7 @@ class RingDecoder:
             config: Settings.
             num_sensors: Of each ring.
             timing_budget: Integration time of the sensors, s.
-            budget: What the links may take; None: that of the default
-                scenario.
+            budget: Limits of the links; None: those of the default scenario.
             name: The rings, in the order of `config.ring_numbers`.
 
         Raises:
@@ -420,9 +419,9 @@ class RingDecoder:
 
         Args:
             data: The datagram.
-            arrival: Host's monotonic time, s; does not fall.
+            arrival: Host's monotonic time, s, never decreasing.
         """
-        # A flood of them must not cost what a ring's own frames need.
+        # Cheap, so that a flood of them does not delay the rings' frames.
         ring = peek_ring(data)
         if ring is not None and ring not in self._receivers:
             self.unknown += 1
@@ -439,17 +438,17 @@ class RingDecoder:
         """Takes bytes of a serial line; returns whether they gave a scan.
 
         Args:
-            source: Tells the lines apart.
-            data: Any piece of what comes.
-            arrival: Host's monotonic time, s; does not fall.
+            source: Name of the line.
+            data: The next bytes, any number of them.
+            arrival: Host's monotonic time, s, never decreasing.
         """
         stream = self._streams.setdefault(source, FrameStream())
-        # All of them, though only the last is of use: the counts go on.
+        # All of them, though only the last is used: for the counts.
         given = [self._receive(frame, arrival) for frame in stream.push(data)]
         return any(given)
 
     def reopen_serial(self, source: str) -> None:
-        """Forgets the unfinished frame of a line that was opened anew."""
+        """Forgets the unfinished frame of a line that was reopened."""
         stream = self._streams.pop(source, None)
         if stream is not None:
             for kind, count in stream.errors.items():

@@ -1,4 +1,4 @@
-"""Real rings in a Diagram: who owns the link, and who takes its scans."""
+"""Real rings in a Diagram: the owner of the link and the source of scans."""
 
 from collections.abc import Sequence
 import dataclasses as dc
@@ -13,7 +13,7 @@ from tofssm_drake.messages import RINGS, RingScan
 
 
 def shift_scan(scan: RingScan, offset: float) -> RingScan:
-    """Returns a scan on a clock that shows so much more, s."""
+    """Returns a scan on a clock that is ahead by an offset, s."""
     if offset == 0.0 or scan.sequence < 0:
         return scan
     return dc.replace(
@@ -22,7 +22,7 @@ def shift_scan(scan: RingScan, offset: float) -> RingScan:
 
 
 def is_ahead(scan: RingScan, now: float) -> bool:
-    """Tells whether a scan has samples from after a time, s.
+    """Returns whether a scan has samples from after a time, s.
 
     Args:
         scan: The scan.
@@ -39,8 +39,8 @@ class RingInterfaceSystem(LeafSystem):
         name: RingInterfaceSystem
 
     It has neither ports nor state nor events: the link receives in a thread
-    of its own. Put it into the Diagram, so that the link lives as long, and
-    give `connection` to the subscriber.
+    of its own. Put it into the Diagram, so that the link lives as long as the
+    Diagram, and give `connection` to the subscriber.
 
     Args:
         connection: A `RingLink`, or one without rings.
@@ -52,18 +52,18 @@ class RingInterfaceSystem(LeafSystem):
 
     @property
     def connection(self) -> RingConnection:
-        """What it owns."""
+        """The owned link."""
         return self._connection
 
     def DoGetGraphvizFragment(self, params):
-        """Adds to the system's picture where the frames come from."""
+        """Adds the source of the frames to the system's drawing."""
         source = self._connection.get_status().source
         params.header_lines += [f"ring_url={source}"]
         return super().DoGetGraphvizFragment(params)
 
 
 class RingSubscriberSystem(LeafSystem):
-    """Gives the scans of real rings as TofRings gives those of simulated ones.
+    """Provides the scans of real rings on the same ports as TofRings.
 
     .. pydrake_system::
 
@@ -76,17 +76,17 @@ class RingSubscriberSystem(LeafSystem):
         - scan_tool
 
     At each step the newest scan of each ring moves from the link into the
-    state, and nothing else ever reads the link: what the ports show follows
-    from the Context. Initialization waits until every ring has delivered.
+    state, and nothing else reads the link: the outputs follow from the
+    Context. Initialization waits until every ring has delivered.
 
-    `clock_offset` (vector, 1) is what the Diagram's clock shows more than the
-    host's monotonic one, s; unconnected it is 0. The scans' times are on the
-    Diagram's clock as it was known when they were taken.
+    `clock_offset` (vector, 1) is the Diagram's minus the host's monotonic
+    clock, s; 0 if unconnected. The scans' times are on the Diagram's clock as
+    it was known when they were taken.
 
-    Where it is connected, a scan waits in the link while the Diagram's time,
-    which is that of the robot's newest report, is before its samples: the
-    monitor does not know yet where the robot was then, and would take it for
-    somebody else. That happens when the loop is late.
+    If it is connected, a scan waits in the link while the Diagram's time, which
+    is that of the robot's newest report, is before its samples: the monitor
+    does not know yet where the robot was then, and would take it for a person.
+    That happens when the loop is late.
 
     A port holds an empty scan (sequence -1) before the first one.
     """
@@ -105,13 +105,13 @@ class RingSubscriberSystem(LeafSystem):
             connection: Where scans come from.
             wait_timeout: Longest wait for the first scans at initialization,
                 s; 0 does not wait.
-            max_ahead: A sample may be so much ahead of the Diagram's time, s;
-                by so much the occlusion mask looks to both sides.
+            max_ahead: How far a sample may be ahead of the Diagram's time, s;
+                the occlusion mask looks as far to both sides.
             name: The rings, in the order of the link's scans.
 
         Raises:
             UserError: The time is out of range.
-            ValueError: The link has another number of rings.
+            ValueError: The link has a different number of rings.
         """
         super().__init__()
         require(
@@ -138,7 +138,7 @@ class RingSubscriberSystem(LeafSystem):
         self.DeclarePerStepUnrestrictedUpdateEvent(self._take_scans)
 
     def _initialize(self, context: Context, state: State):
-        """Waits for the rings.
+        """Waits until every ring has delivered.
 
         Raises:
             UserError: Some of them did not deliver.

@@ -1,4 +1,4 @@
-"""What a robot is checked for while it is watched."""
+"""What a robot is checked for during a run."""
 
 import dataclasses as dc
 
@@ -17,9 +17,9 @@ class RobotChecks:
     # Is it the robot that is modelled?
     model: ModelConfig = dc.field(default_factory=ModelConfig)
 
-    # By how much the robot's clock may be faster or slower than this
-    # computer's, as a part (assumed: two crystals differ by a hundredth of
-    # that; a computer that is busy for seconds seems to be off by less).
+    # By what part the robot's clock may be faster or slower than this
+    # computer's (assumed: two crystals differ by a hundredth of that; a
+    # computer that is busy for seconds seems to be off by less).
     clock_tolerance: float = 0.02
 
     def check(self, where: str) -> None:

@@ -15,7 +15,7 @@ from tofssm_drake.messages import RobotReport
 _MAX_DRIFT = 200e-6
 # The robot's clock counts its cycles; this much is rounding, s.
 _ROUNDING = 1e-5
-# The rate is that of the median of so many steps of so many seconds.
+# The rate is the median of this many steps of this many seconds.
 _RATE_STEPS = 5
 _RATE_STEP = 1.0
 
@@ -24,20 +24,19 @@ _RATE_STEP = 1.0
 class ClockRate:
     """How fast a robot's clock runs beside the host's.
 
-    Of each second the fastest report counts, and of the last five steps from
-    one second to the next the median. So neither late reports nor a jump of
-    the lateness pass for a rate; a wrong rate is known after three steps, 3
-    to 4 s.
+    The fastest report of each second counts, and the median of the last five
+    steps from one second to the next. So neither late reports nor a jump in
+    lateness pass for a rate; a wrong rate is known after three steps, 3 to 4 s.
     """
 
     began: float = math.nan
-    """Host's time at which the present second began, s; NaN: none yet."""
+    """Host's time at which the current second began, s; NaN: none yet."""
     least: float = math.inf
-    """Least host's minus robot's time in it, s."""
+    """Least host minus robot time in it, s."""
     before: tuple[float, float] = (math.nan, math.nan)
     """Robot's time at the end of the second before, and its `least`, s."""
     drifts: tuple[float, ...] = (0.0,) * _RATE_STEPS
-    """What the host's clock gained in each step, s per robot's s."""
+    """Gain of the host's clock in each step, s per robot's s."""
 
     @property
     def rate(self) -> float:
@@ -46,7 +45,7 @@ class ClockRate:
 
     @property
     def newest(self) -> float:
-        """The same of the last step alone, which may be a late report's."""
+        """The same for the last step alone; a late report may distort it."""
         return _calc_rate(self.drifts[-1])
 
 
@@ -79,18 +78,18 @@ def update_clock_rate(
 
 
 class RobotClock:
-    """Makes the Diagram's time of the robot's reports.
+    """Makes the Diagram's time from the robot's reports.
 
-    It is 0 at the first report and grows as the robot's clock does. Between
-    two sessions, when the robot's clock tells nothing, it grows as the host's
-    does. A time next to a control tick is put onto it, so that the tick's
-    events are not missed by a rounding error.
+    It is 0 at the first report and advances with the robot's clock, or with the
+    host's between two sessions, when the robot's is unknown. A time close to a
+    control tick is moved onto it, so that the tick's events are not missed by a
+    rounding error.
 
     Attributes:
         time: Diagram's time of the newest report, s.
         lateness: By how much that report came later than the fastest ones of
             its session, s.
-        offset: What the Diagram's clock shows more than the host's, s.
+        offset: Diagram's minus host's clock, s.
         rate: What is known of the rates of both clocks.
 
     Args:
@@ -109,7 +108,7 @@ class RobotClock:
         self.rate = ClockRate()
 
     def update(self, report: RobotReport) -> float:
-        """Takes the next report and returns the Diagram's time of it, s."""
+        """Takes the next report and returns its Diagram time, s."""
         if report.session != self._session:
             begin = 0.0
             if self._session >= 0:
@@ -119,7 +118,7 @@ class RobotClock:
             self._origin = begin - report.timestamp
             self._map = start_clock_map(device=begin, host=report.time)
             self.rate = ClockRate()
-        # Never back: the Simulator can not follow.
+        # Never backwards: the Simulator cannot follow.
         time = max(self._snap(self._origin + report.timestamp), self.time)
         if time > self._map.device:
             self._map = update_clock_map(

@@ -1,4 +1,4 @@
-"""What a connection to a robot is, and two that need no robot."""
+"""The interface of a robot connection, and two that need no robot."""
 
 import dataclasses as dc
 import math
@@ -13,27 +13,27 @@ class RtdeStatus:
     """How a connection is doing."""
 
     connected: bool = False
-    """Packages stream in, and writing was granted if it was asked for."""
+    """Packages stream in, and writing was granted if requested."""
     problem: str = "not started"
     """Why not, in one line; empty while connected."""
     controller: tuple[int, ...] = ()
     """Its version: major, minor, bugfix, build."""
     frequency: float = math.nan
-    """Packages per second that were asked for."""
+    """Requested packages per second."""
     types: dict[str, str] = dc.field(default_factory=dict)
-    """Fields that stream in, with the controller's types."""
+    """Received fields, with the controller's types."""
     writes: bool = False
     """Whether the slider is ours."""
     connections: int = 0
-    """How often packages began to stream."""
+    """How often a stream of packages began."""
     packages: int = 0
     """Received and good."""
     missed: int = 0
-    """Never came, by the robot's clock."""
+    """Missing, by the robot's clock."""
     rejected: int = 0
-    """Of a wrong size or recipe, or with values that can not be."""
+    """Of a wrong size or recipe, or with impossible values."""
     repeated: int = 0
-    """With the timestamp of the one before."""
+    """With the previous one's timestamp."""
     texts: int = 0
     """Text messages from the controller."""
     last_text: str = ""
@@ -41,9 +41,9 @@ class RtdeStatus:
 
 
 class RobotConnection(Protocol):
-    """What systems and run loop need of a connection to a robot.
+    """What systems and run loop need from a connection to a robot.
 
-    `RtdeClient` is the real one; the two here are without any robot.
+    `RtdeClient` is the real one; the two here work without a robot.
     """
 
     def get_report(self) -> RobotReport:
@@ -53,13 +53,13 @@ class RobotConnection(Protocol):
         """Waits for a report newer than sequence `after`, at most that long.
 
         Returns:
-            The newest report, which is not newer if the time is over.
+            The newest report, which is not newer after a timeout.
         """
 
     def send(self, command: SliderCommand) -> bool:
         """Sends a command; returns whether it was handed over.
 
-        That it was handed over does not mean that it arrives.
+        A command that was handed over may still not arrive.
         """
 
     def get_status(self) -> RtdeStatus:
@@ -70,17 +70,17 @@ class RobotConnection(Protocol):
 
 
 class LoopbackConnection:
-    """Whoever holds it is the robot: for tests and for replays."""
+    """Its holder plays the robot: for tests and replays."""
 
     def __init__(self):
         self._condition = threading.Condition()
         self._report = RobotReport()
         self._closed = False
         self.sent: list[SliderCommand] = []
-        """Every command that was sent, the oldest first."""
+        """Every command that was sent, oldest first."""
 
     def put(self, report: RobotReport) -> None:
-        """Lets a report arrive."""
+        """Delivers a report."""
         with self._condition:
             self._report = report
             self._condition.notify_all()
@@ -93,7 +93,7 @@ class LoopbackConnection:
         """Waits for a report newer than sequence `after`, at most that long.
 
         Returns:
-            The newest report, which is not newer if the time is over.
+            The newest report, which is not newer after a timeout.
         """
         with self._condition:
             self._condition.wait_for(
@@ -124,10 +124,10 @@ class LoopbackConnection:
 
 
 class NullConnection:
-    """Nothing ever comes and nothing is ever sent."""
+    """Receives nothing and sends nothing."""
 
     def get_report(self) -> RobotReport:
-        """Returns a report of sequence -1: there is none."""
+        """Returns an empty report, of sequence -1."""
         return RobotReport()
 
     def wait_for_report(self, *, after: int, timeout: float) -> RobotReport:

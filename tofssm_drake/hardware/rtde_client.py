@@ -1,10 +1,10 @@
 """RTDE client: a thread that reads whole packages and keeps the newest.
 
-Reading never waits for a caller and no caller waits for reading: the thread
-makes one frozen `RobotReport` per package, with its time of arrival, and
-replaces the one before. When the robot falls silent or hangs up, the thread
-reconnects with the full handshake, at growing intervals, until it is closed.
-The thread raises nothing: `get_status` says what is wrong.
+Reading and callers never wait for each other: the thread makes one frozen
+`RobotReport` per package, with its time of arrival, and replaces the previous
+one. When the robot falls silent or hangs up, the thread reconnects with the
+full handshake, at growing intervals, until it is closed. The thread raises
+nothing: `get_status` says what is wrong.
 """
 
 from collections.abc import Callable
@@ -28,7 +28,8 @@ from tofssm_drake.messages import RobotReport, SliderCommand
 
 # Bytes that may wait for the robot to read them.
 _SEND_BUFFER = 4096
-# How long closing waits for a robot that was just lost, to stop it, s.
+# How long closing waits for a robot whose connection was just lost, in order
+# to stop it, s.
 _RETURN = 0.5
 
 
@@ -36,14 +37,14 @@ class RtdeClient:
     """Talks to a robot's controller until it is closed.
 
     A context manager: `with RtdeClient(config) as client`. It starts to
-    connect at once, in a thread of its own.
+    connect at once, in its own thread.
 
     Args:
         config: Settings; checked.
         tap: Called with (time on the host's monotonic clock, whether it was
             sent, bytes of the package with its header) for everything that
-            is received and sent, from the thread that does it: must return
-            at once and never raise.
+            is received and sent, in the thread that does it; must return at
+            once and never raise.
 
     Raises:
         UserError: A setting is out of range.
@@ -61,7 +62,8 @@ class RtdeClient:
         self._condition = threading.Condition()
         self._report = RobotReport()
         self._status = RtdeStatus(problem="connecting")
-        # Counted apart: a new status for each package costs more than it.
+        # Counted separately: a new status for each package would cost more than
+        # the package.
         self._packages = 0
         self._closed = threading.Event()
         self._send_lock = threading.Lock()
@@ -106,10 +108,10 @@ class RtdeClient:
         """Sends slider and heartbeat in one package.
 
         Returns:
-            Whether the package was handed to the system. That says nothing
-            about the robot: the slider's echo does. False without a
-            connection, without `write`, or if the command answers no report
-            or one from before the connection: the robot may have started anew.
+            Whether the package was handed to the system. Only the slider's
+            echo says whether the robot got it. False without a connection,
+            without `write`, or if the command answers no report or one from
+            before the connection: the robot may have restarted.
         """
         if command.sequence < 0:
             return False
@@ -130,7 +132,7 @@ class RtdeClient:
                 sent = 0
             if sent != len(package):
                 # The robot does not read, and half a package would garble
-                # all that follow. The thread notices and connects anew.
+                # all that follow. The thread notices and reconnects.
                 self._writer = None
                 with contextlib.suppress(OSError):
                     connection.shutdown(socket.SHUT_RDWR)
@@ -155,7 +157,7 @@ class RtdeClient:
             self._thread.join()
 
     def _leave_stopped(self):
-        """Sets the slider to 0 and waits a little until that is seen."""
+        """Sets the slider to 0 and waits briefly until the echo shows it."""
         wait = _RETURN if self._writer is None else FAREWELL
         deadline = time.monotonic() + wait
         while (
@@ -192,7 +194,7 @@ class RtdeClient:
                     connected=False,
                     problem=f"{self._where}: {error.strerror or error}",
                 )
-            except Exception as error:  # The thread must live on.
+            except Exception as error:  # The thread must go on.
                 self._update(connected=False, problem=f"{error!r}")
             if self._status.connections > connections:
                 pause = self._config.retry_first
@@ -208,13 +210,13 @@ class RtdeClient:
         self._status = dc.replace(self._status, **changes)
 
     def _serve_connection(self):
-        """Connects, shakes hands and reads until something is wrong."""
+        """Connects, shakes hands and reads until something goes wrong."""
         config = self._config
         with socket.create_connection(
             (config.host, config.port), config.connect_timeout
         ) as connection:
             connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-            # A robot that does not read must not stay unnoticed for long.
+            # A robot that does not read must be noticed soon.
             connection.setsockopt(
                 socket.SOL_SOCKET, socket.SO_SNDBUF, _SEND_BUFFER
             )
@@ -230,7 +232,7 @@ class RtdeClient:
                 link.close()
 
     def _read_stream(self, link):
-        """Publishes one report after the other, until the link is lost."""
+        """Publishes each report, until the link is lost."""
         report = link.read_report(
             before=self._report,
             session=self._report.session + 1,
@@ -279,5 +281,5 @@ class RtdeClient:
         else:
             self._update(rejected=status.rejected + 1)
             if not status.connected:
-                # Otherwise the problem would be "connecting" for ever.
+                # Otherwise the problem would stay "connecting".
                 self._update(problem=f"{self._where}; {text}")

@@ -14,10 +14,10 @@ class RtdeConfig:
     port: int = 30004
 
     # Packages per second; 0: as many as the controller makes (125 before
-    # software 5, 500 from then on).
+    # software 5, then 500).
     frequency: float = 0.0
 
-    # Claim speed slider and heartbeat. Without it nothing is ever written.
+    # Claim speed slider and heartbeat; if False, nothing is written.
     write: bool = True
 
     # input_int_register of the heartbeat (24 to 47 are for external clients)
@@ -25,22 +25,22 @@ class RtdeConfig:
     heartbeat_register: int = 24
     products_register: int = 24
 
-    # Put up with servers that answer a setup with names instead of types, or
-    # number their packages otherwise than announced, or know few fields.
+    # Accept servers that answer a setup with names instead of types, or number
+    # their packages differently than announced, or know few fields.
     lenient: bool = False
 
     # Longest time to connect and for each answer, s.
     connect_timeout: float = 2.0
     reply_timeout: float = 2.0
 
-    # Without a package for that long the connection counts as lost, s.
+    # Without a package for this long the connection counts as lost, s.
     stream_timeout: float = 0.1
 
-    # If the robot's clock goes back, or forth by more than that, s, a new
-    # session begins; also if it gains 0.25 s on the host's at once.
+    # If the robot's clock jumps backwards, or forwards by more than this, s, a
+    # new session begins; also if it gains 0.25 s on the host's at once.
     clock_jump: float = 1.0
 
-    # Pause before the next try, s: doubles from the first to the last.
+    # Pause before the next attempt, s: doubles from the first to the last.
     retry_first: float = 0.1
     retry_last: float = 2.0
 

@@ -1,4 +1,4 @@
-"""Names, types and numbers of what a UR controller exchanges over RTDE.
+"""Names, types and numbers of the fields of a UR controller's RTDE.
 
 From Universal Robots' "Real-Time Data Exchange (RTDE) Guide"; the later
 safety modes from Universal Robots' client library.
@@ -102,7 +102,7 @@ ECHOED_TYPES = {
     for name, kind in INPUT_TYPES.items()
     if name.startswith("input_")
 }
-"""Inputs that may be read back as outputs: the registers."""
+"""Inputs that can be read back as outputs: the registers."""
 
 
 class RobotMode(enum.IntEnum):
@@ -183,7 +183,7 @@ class SafetyStatusBit(enum.IntFlag):
 
 
 def name_of(kind: type[enum.IntEnum], number: int) -> str:
-    """Returns a mode in words; also one that nobody has heard of."""
+    """Returns a mode in words; also an unknown one."""
     try:
         return kind(number).name.lower().replace("_", " ")
     except ValueError:

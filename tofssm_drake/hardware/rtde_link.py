@@ -32,18 +32,18 @@ class LinkLostError(Exception):
 
 
 class LinkEvent(enum.Enum):
-    """What happens on a link beside reports."""
+    """What happens on a link besides reports."""
 
     TEXT = "text"
-    """The controller said something."""
+    """The controller sent a text."""
     REJECTED = "rejected"
     """A data package could not be used."""
     REPEATED = "repeated"
-    """A data package had the time of the one before."""
+    """A data package had the previous one's time."""
 
 
 class LinkOwner(Protocol):
-    """What a link asks of its client."""
+    """What a link needs from its client."""
 
     def is_closed(self) -> bool:
         """Returns whether the connection is to end."""
@@ -52,18 +52,18 @@ class LinkOwner(Protocol):
         """Takes a package that was sent or received."""
 
     def note(self, event: LinkEvent, text: str) -> None:
-        """Takes note of what happened."""
+        """Takes note of an event."""
 
 
 class RtdeLink:
     """One connection with a controller, from handshake to its end.
 
-    Not safe for threads; only `writer` may be used by another one.
+    Not thread-safe; only `writer` may be used by another thread.
 
     Args:
         config: How to talk.
         connection: Connected; the caller closes it.
-        owner: Is told of everything but reports.
+        owner: Is notified of everything but reports.
     """
 
     def __init__(
@@ -77,15 +77,15 @@ class RtdeLink:
         self._where = f"{config.host}:{config.port}"
         self._connection = connection
         self.writer = connection.dup()
-        """The same connection, but it never blocks: for the control loop."""
+        """The same connection, non-blocking: for the control loop."""
         self.writer.setblocking(False)
         self.inputs: rtde.Recipe | None = None
         """What may be written; None: nothing."""
         self._reader = rtde.PackageReader()
         self._waiting: list[tuple[int, bytes]] = []
-        # When the last bytes came, s.
+        # When the last bytes arrived, s.
         self._arrival = -math.inf
-        # The deadline that had passed at the last look; NaN: none had.
+        # The deadline that had passed at the last check; NaN: none had.
         self._overdue = math.nan
         self._version = 1
         # Why the newest package was rejected.
@@ -102,7 +102,7 @@ class RtdeLink:
 
         Raises:
             LinkLostError: The controller does not agree or does not answer.
-            RtdeError: It answers with something else than RTDE.
+            RtdeError: Its answer is not RTDE.
             OSError: The connection is broken.
         """
         kind = PackageType.REQUEST_PROTOCOL_VERSION
@@ -232,12 +232,12 @@ class RtdeLink:
     def _ask(self, kind, request, *, accepted=False, or_data=False):
         """Sends a request and returns the payload of its answer.
 
-        Whatever else arrives in the meantime is dealt with.
+        Handles whatever else arrives in the meantime.
 
         Args:
             kind: Type of request and answer.
             request: The package.
-            accepted: Return whether it was accepted instead of the payload.
+            accepted: Return whether it was accepted, not the payload.
             or_data: A data package counts as acceptance too.
         """
         self._send(request)
@@ -261,12 +261,12 @@ class RtdeLink:
         self._owner.record_package(time.monotonic(), True, package)
 
     def _receive(self, deadline, otherwise):
-        """Appends the next packages to those that wait."""
+        """Appends the next packages to the waiting ones."""
         remaining = deadline - time.monotonic()
         if self._owner.is_closed():
             raise LinkLostError("closed")
         is_over = remaining <= 0
-        # If this process was suspended, look once more before giving up.
+        # This process may have been suspended: check once more.
         if is_over and self._overdue == deadline:
             raise LinkLostError(f"{self._where}: {otherwise}")
         self._overdue = deadline if is_over else math.nan
@@ -290,7 +290,7 @@ class RtdeLink:
         self._waiting.extend(packages)
 
     def _take_note(self, kind, payload):
-        """Deals with what was not asked for."""
+        """Handles what was not asked for."""
         if kind != PackageType.TEXT_MESSAGE:
             return
         try:
@@ -306,8 +306,8 @@ class RtdeLink:
         """Waits for the next report.
 
         Args:
-            before: The report before it, maybe of another connection.
-            session: Of the new report, unless the robot's clock starts again.
+            before: The previous report, maybe of another connection.
+            session: Of the new report, unless the robot's clock restarts.
             last: Timestamp of the stream's last package, s; NaN: none yet.
 
         Raises:
@@ -333,7 +333,7 @@ class RtdeLink:
             )
 
     def _decode(self, payload, before, session, last):
-        """Returns the report of a data package; None if it is of no use."""
+        """Returns the report of a data package; None if unusable."""
         try:
             flat = self._outputs.decode_flat(
                 payload, version=self._version, any_id=self._config.lenient
@@ -357,10 +357,10 @@ class RtdeLink:
         return report
 
     def say_goodbye(self):
-        """Tells the controller to stop streaming, and reads what is left.
+        """Asks the controller to stop streaming, and reads what is left.
 
-        With bytes unread, closing would reset the connection, and the
-        controller might never read what was sent last.
+        With unread bytes, closing would reset the connection, and the
+        controller might not read what was sent last.
         """
         deadline = time.monotonic() + FAREWELL
         # The connection may be gone already.

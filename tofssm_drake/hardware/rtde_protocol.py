@@ -1,12 +1,12 @@
 """RTDE messages as bytes and back: pure functions, no sockets.
 
 A package is `uint16 size, uint8 type, payload`, big-endian; the size counts
-these three bytes, too. Both directions are here, so that a client and a
-simulated controller speak by the same book. Versions 1 and 2 of the protocol
-differ where an argument `version` says so. Source: Universal Robots,
-"Real-Time Data Exchange (RTDE) Guide".
+these three bytes, too. Both directions are here, for a client and a simulated
+controller. Functions with an argument `version` differ between versions 1 and
+2 of the protocol. Source: Universal Robots, "Real-Time Data Exchange (RTDE)
+Guide".
 
-Whatever bytes a decoder is given, it returns a value or raises `RtdeError`.
+Given any bytes, a decoder returns a value or raises `RtdeError`.
 """
 
 from collections.abc import Iterable, Sequence
@@ -18,7 +18,7 @@ _HEADER = struct.Struct(">HB")
 _LARGEST = 0xFFFF
 _LARGEST_NAMES = 2048
 
-# Format characters and how many values a field has.
+# Format characters and number of values of a field.
 _TYPES = {
     "BOOL": ("?", 1),
     "UINT8": ("B", 1),
@@ -33,16 +33,16 @@ _TYPES = {
 }
 
 NOT_FOUND = "NOT_FOUND"
-"""In the place of a type: the controller does not know that name."""
+"""In place of a type: the controller does not know the name."""
 IN_USE = "IN_USE"
-"""In the place of a type: another client controls that input."""
+"""In place of a type: another client controls the input."""
 
 Value = bool | int | float | tuple
-"""Of one field: a number, or a tuple of them for vectors."""
+"""Value of a field: a number, or a tuple for vectors."""
 
 
 class RtdeError(ValueError):
-    """Bytes that are no RTDE message, or values that fit into none."""
+    """Bytes that are not an RTDE message, or values that fit into none."""
 
 
 class PackageType(enum.IntEnum):
@@ -59,7 +59,7 @@ class PackageType(enum.IntEnum):
 
 
 class TextLevel(enum.IntEnum):
-    """How bad a text message is."""
+    """Severity of a text message."""
 
     EXCEPTION = 0
     ERROR = 1
@@ -91,14 +91,14 @@ class PackageReader:
         self._buffer = bytearray()
 
     def feed(self, data: bytes) -> list[tuple[int, bytes]]:
-        """Takes what a socket gave and returns the packages now complete.
+        """Takes received bytes and returns the packages that they complete.
 
         Args:
             data: The next bytes of the stream, any number of them.
 
         Returns:
-            (type byte, payload) of each, in their order. Nothing comes any
-            more after a header that can not be: see `check`.
+            (type byte, payload) of each, in order; none after an impossible
+            header: see `check`.
         """
         self._buffer += data
         packages = []
@@ -114,10 +114,10 @@ class PackageReader:
         return packages
 
     def check(self) -> None:
-        """Raises RtdeError if the stream can not be followed any further.
+        """Raises RtdeError if the stream cannot be followed any further.
 
         That is so if the next size is less than the header's own three bytes.
-        All one can do is to disconnect.
+        The only remedy is to disconnect.
         """
         if len(self._buffer) >= _HEADER.size:
             size, _ = _HEADER.unpack_from(self._buffer)
@@ -173,8 +173,8 @@ def encode_output_setup(
     """Returns the request for a stream of outputs.
 
     Args:
-        names: Of the fields, in the order in which they shall come.
-        frequency: Packages per second; version 1 can not choose.
+        names: Of the fields, in the desired order.
+        frequency: Packages per second; version 1 cannot choose.
         version: Of the protocol.
     """
     head = struct.pack(">d", frequency) if version >= 2 else b""
@@ -186,7 +186,7 @@ def encode_output_setup(
 def decode_output_setup(
     payload: bytes, *, version: int = 2
 ) -> tuple[float | None, tuple[str, ...]]:
-    """Returns frequency (None in version 1) and names a client asks for."""
+    """Returns the requested frequency (None in version 1) and names."""
     if version < 2:
         return None, _decode_request(payload)
     if len(payload) < 8:
@@ -237,7 +237,7 @@ def decode_input_setup_reply(payload: bytes) -> Setup:
 def encode_text(
     message: TextMessage, *, version: int = 2, from_controller: bool = True
 ) -> bytes:
-    """Returns a text message; a text too long for its form is cut.
+    """Returns a text message; a text that is too long is cut.
 
     In version 1 a controller's message has no source and no lengths.
     """
@@ -283,7 +283,7 @@ class Recipe:
 
     Args:
         names: Of the fields.
-        types: As the controller named them.
+        types: As named by the controller.
         recipe_id: The controller's number for this recipe.
 
     Raises:
@@ -316,8 +316,8 @@ class Recipe:
 
         Args:
             values: Of each field, vectors as sequences.
-            version: 1 leaves out the recipe id, as a controller's packages
-                did then; a client's always have it.
+            version: 1 leaves out the recipe id, as a controller did then; a
+                client's packages always have it.
 
         Raises:
             RtdeError: The values do not fit the recipe.
@@ -343,15 +343,15 @@ class Recipe:
     def decode_flat(
         self, payload: bytes, *, version: int = 2, any_id: bool = False
     ) -> tuple:
-        """Returns all numbers of a data package, vectors not grouped.
+        """Returns all numbers of a data package, without grouping vectors.
 
         Args:
             payload: Of a data package.
             version: 1 for a controller's packages that have no recipe id.
-            any_id: Whether to accept packages of whatever recipe id.
+            any_id: Whether to accept packages of any recipe id.
 
         Raises:
-            RtdeError: Another recipe's package, or of another size.
+            RtdeError: The package has a wrong recipe id or size.
         """
         start = 1 if version >= 2 else 0
         if len(payload) != start + self._values.size:
@@ -369,7 +369,7 @@ class Recipe:
     def decode(
         self, payload: bytes, *, version: int = 2, any_id: bool = False
     ) -> tuple[Value, ...]:
-        """Returns the value of each field; arguments as of `decode_flat`."""
+        """Returns the value of each field; arguments as for `decode_flat`."""
         flat = self.decode_flat(payload, version=version, any_id=any_id)
         values = []
         start = 0
@@ -390,13 +390,13 @@ def _unpack(layout: str, payload: bytes, what: str) -> tuple:
 
 
 def _encode_names(names: Sequence[str]) -> bytes:
-    """Returns names with commas between, never with one at the end."""
+    """Returns names separated by commas, without one at the end."""
     try:
         payload = ",".join(names).encode("ascii")
     except UnicodeEncodeError as error:
         raise RtdeError(f"names: {error}") from None
     if not all(names) or any("," in name for name in names):
-        raise RtdeError("names: must not be empty nor have a comma")
+        raise RtdeError("names: must not be empty or have a comma")
     if len(payload) > _LARGEST_NAMES:
         raise RtdeError(
             f"names: {len(payload)} bytes, at most {_LARGEST_NAMES}"
@@ -405,7 +405,7 @@ def _encode_names(names: Sequence[str]) -> bytes:
 
 
 def _decode_request(payload: bytes) -> tuple[str, ...]:
-    """Returns the names that a client asks for."""
+    """Returns the names requested by a client."""
     if len(payload) > _LARGEST_NAMES:
         raise RtdeError(
             f"names: {len(payload)} bytes, at most {_LARGEST_NAMES}"
@@ -414,7 +414,7 @@ def _decode_request(payload: bytes) -> tuple[str, ...]:
 
 
 def _decode_names(payload: bytes) -> tuple[str, ...]:
-    """Returns the names; empty ones (a comma at the end) are none."""
+    """Returns the names, without empty ones (a comma at the end)."""
     try:
         text = payload.decode("ascii")
     except UnicodeDecodeError:

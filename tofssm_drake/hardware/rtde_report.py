@@ -1,4 +1,4 @@
-"""What of a controller's outputs goes where in a `RobotReport`."""
+"""From a controller's outputs to a `RobotReport`."""
 
 import math
 
@@ -8,7 +8,7 @@ import tofssm_drake.hardware.rtde_protocol as rtde
 from tofssm_drake.hardware.rtde_protocol import RtdeError
 from tofssm_drake.messages import RobotReport
 
-# Vectors first, so that one array holds them all.
+# Vectors first, so that one array holds all of them.
 _VECTORS = {
     "position": "actual_q",
     "velocity": "actual_qd",
@@ -30,8 +30,8 @@ _SCALARS = {
     "speed_scaling": "speed_scaling",
     "target_speed_fraction": "target_speed_fraction",
 }
-# What the robot's clock may gain on the host's from one package to the next,
-# s: as late as a package may be.
+# How much the robot's clock may gain on the host's from one package to the
+# next, s: as late as a package may be.
 _LEAP = 0.25
 REQUIRED = {
     "timestamp",
@@ -42,13 +42,13 @@ REQUIRED = {
     "runtime_state",
     "target_speed_fraction",
 }
-"""Outputs without which the robot can not be watched."""
+"""Outputs that monitoring needs."""
 REQUIRED_LENIENT = {"timestamp", "actual_q", "actual_qd"}
-"""Those that even a lenient client must have."""
+"""Outputs that even a lenient client needs."""
 
 
 def list_outputs(products_register: int) -> list[str]:
-    """Returns the names to ask for; `ReportMaker` counts on their order.
+    """Returns the names to ask for; `ReportMaker` relies on their order.
 
     Args:
         products_register: output_int_register of the products.
@@ -61,13 +61,13 @@ def list_outputs(products_register: int) -> list[str]:
 
 
 class ReportMaker:
-    """Makes reports of data packages of one recipe.
+    """Makes reports from data packages of one recipe.
 
     Args:
         recipe: Of the outputs; its first fields are vectors of six.
         frequency: Packages per second, to count the missing ones.
         products_register: Number of the register of products.
-        clock_jump: Largest step forth of the robot's clock, s.
+        clock_jump: Largest step of the robot's clock, s.
     """
 
     def __init__(
@@ -112,9 +112,9 @@ class ReportMaker:
 
         Args:
             flat: All numbers of the package.
-            before: The report before this one.
+            before: The previous report.
             time: When it arrived, s.
-            last: The timestamp before in this session, s; NaN: none.
+            last: The previous timestamp in this session, s; NaN: none.
             session: Number of the session.
 
         Raises:
@@ -125,12 +125,12 @@ class ReportMaker:
         vectors.setflags(write=False)
         values = dict(zip(self._scalars, flat[count:], strict=True))
         timestamp = values["timestamp"]
-        # A sum is not finite if any of its numbers is not.
+        # A sum is finite only if all its numbers are.
         if not math.isfinite(sum(flat[:count]) + timestamp):
             raise RtdeError("data package: not a number")
         missed = before.missed
         step = timestamp - last
-        # Of the first package nothing is true: its step is not a number.
+        # All false for the first package: its step is NaN.
         if step < 0 or step > self._clock_jump:
             session += 1
         elif step > 0:

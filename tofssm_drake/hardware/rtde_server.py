@@ -1,10 +1,10 @@
 """The controller's side of RTDE: serves a simulated robot to many clients.
 
 One thread does everything: it steps the robot on its own clock, answers
-clients and streams. A client that is slow misses packages, and one that asks
-and asks takes turns with the others while the cycle lasts; neither holds up
-the robot or anyone else. A second port speaks the part of UR's dashboard
-that starts and stops programs, and takes the faults to inject.
+clients and streams. A slow client misses packages, and one with many requests
+takes turns with the others; neither delays the robot or another client. A
+second port offers the part of UR's dashboard that starts and stops programs,
+and takes the faults to inject.
 """
 
 import collections
@@ -26,19 +26,19 @@ from tofssm_drake.hardware.rtde_protocol import PackageType, RtdeError
 from tofssm_drake.hardware.simulated_ur import SimulatedUr
 
 # Bytes that may wait for a slow client before packages are skipped, and how
-# long it may read nothing before it is dropped, s.
+# long a client may read nothing before it is dropped, s.
 _BACKLOG = 1 << 16
 _PATIENCE = 10.0
-# Bytes that may wait for a client that asks and does not read the answers.
+# Bytes that may wait for a client that does not read its answers.
 _MOST_UNREAD = 1 << 18
-# Bytes that are read in one turn of a client and of a console: what they hold
-# is taken apart, and a console's lines are done, in about a millisecond.
+# Bytes that are read in one turn of a client and of a console: either is
+# handled in about a millisecond.
 _BYTES_PER_TURN = 1 << 12
 _CONSOLE_BYTES_PER_TURN = 1 << 7
-# Connections to a port at a time, and what select can watch.
+# Most connections to a port at a time, and most files that select can watch.
 _MOST_CLIENTS = 100
 _MOST_FILES = 1024
-# How much robot time may be made up for at once after the process slept, s.
+# How much robot time is caught up at once after the process slept, s.
 _LARGEST_LAG = 1.0
 
 
@@ -48,22 +48,22 @@ class Faults:
 
     # A text message before each reply and before every tenth data package.
     text_messages: bool = False
-    # Leave out each n-th data package; 0: none.
+    # Leave out every n-th data package; 0: none.
     skip_every: int = 0
-    # Send at most that many bytes at once; 0: as many as there are.
+    # Send at most this many bytes at once; 0: no limit.
     fragment: int = 0
-    # Hold data packages back until there are that many.
+    # Hold data packages back until there are this many.
     coalesce: int = 1
     # No data packages until then, s on the monotonic clock.
     stalled_until: float = 0.0
     # Data packages still to leave out.
     skip_next: int = 0
-    # Each data package twice.
+    # Send each data package twice.
     duplicate: bool = False
 
 
 class _Session:
-    """One client: what it asked for and what waits to be sent."""
+    """One client: what it requested and what waits to be sent."""
 
     def __init__(self, connection: socket.socket):
         self.connection = connection
@@ -87,15 +87,15 @@ class RtdeServer:
     """Serves a simulated robot.
 
     Args:
-        robot: What is served; only this object steps it.
-        host: Address to listen at.
+        robot: The robot; only this object steps it.
+        host: Address to listen on.
         port: TCP port of RTDE; 0 takes a free one.
         dashboard_port: TCP port of the dashboard; 0 takes a free one, None
             has none.
         faults: How it misbehaves at first.
 
     Raises:
-        UserError: The address can not be listened at.
+        UserError: It cannot listen on the address.
     """
 
     def __init__(
@@ -112,7 +112,7 @@ class RtdeServer:
         self._sessions: dict[socket.socket, _Session] = {}
         self._claims: dict[str, object] = {}
         self._consoles: dict[socket.socket, bytearray] = {}
-        # Who has something to be dealt with, in the order of the turns.
+        # Connections with something to handle, in the order of their turns.
         self._turns: dict[socket.socket, Callable] = {}
         # Not epoll: its timeouts are whole milliseconds.
         self._selector = selectors.SelectSelector()
@@ -131,10 +131,10 @@ class RtdeServer:
             raise
 
     def run(self, is_stopped: Callable[[], bool]) -> None:
-        """Serves until told to stop; then closes everything.
+        """Serves until stopped, then closes everything.
 
         Args:
-            is_stopped: Asked at least once per control cycle.
+            is_stopped: Called at least once per control cycle.
         """
         period = 1.0 / self.robot.rate
         tick = time.monotonic() + period
@@ -145,7 +145,7 @@ class RtdeServer:
                 if now >= tick:
                     cycles = 1 + int((now - tick) / period)
                     tick += cycles * period
-                    # A controller skips packages, but sends none late.
+                    # A controller skips packages rather than send them late.
                     for _ in range(min(cycles, int(_LARGEST_LAG / period))):
                         self.robot.step()
                     self._stream()
@@ -167,12 +167,12 @@ class RtdeServer:
             self._drop(session)
 
     def claim(self, names: list[str]) -> None:
-        """Claims inputs as a fieldbus does: for clients they are in use."""
+        """Claims inputs, as a fieldbus does: clients find them in use."""
         for name in names:
             self._claims[name] = self
 
     def release(self) -> None:
-        """Gives back what `claim` took."""
+        """Releases the claimed inputs."""
         self._claims = {
             name: owner
             for name, owner in self._claims.items()
@@ -185,14 +185,14 @@ class RtdeServer:
         except (OSError, OverflowError) as error:
             reason = getattr(error, "strerror", None) or error
             raise UserError(
-                f"can not listen at {host}:{port}: {reason}"
+                f"cannot listen at {host}:{port}: {reason}"
             ) from None
         listener.setblocking(False)
         self._selector.register(listener, selectors.EVENT_READ, accept)
         return listener.getsockname()[:2]
 
     def _wait(self, tick):
-        """Serves sockets until something happened or the time has come."""
+        """Waits for sockets at most until the tick, and serves them."""
         for session in self._sessions.values():
             events = selectors.EVENT_READ
             if session.outgoing:
@@ -205,20 +205,20 @@ class RtdeServer:
             if key.fileobj in self._sessions and events & selectors.EVENT_WRITE:
                 self._flush(self._sessions[key.fileobj])
             if events & selectors.EVENT_READ:
-                # Whoever waits for a turn keeps the place.
+                # A waiting connection keeps its place.
                 self._turns.setdefault(key.fileobj, key.data)
         self._take_turns(tick)
 
     def _take_turns(self, tick):
-        """Gives one turn to each who waits for it, as long as there is time.
+        """Gives one turn to each waiting connection, while there is time.
 
-        Who is left comes first the next time. One turn at least is given,
-        so that the clients of a computer that is too slow are not cut off.
+        The others come first the next time. At least one turn is given, so that
+        the clients of a slow computer are not cut off.
         """
         for _ in range(len(self._turns)):
             connection = next(iter(self._turns))
             deal_with = self._turns.pop(connection)
-            # Whoever was dropped meanwhile is closed.
+            # A connection dropped meanwhile is closed.
             if connection.fileno() >= 0:
                 deal_with(connection)
             if time.monotonic() >= tick:
@@ -235,7 +235,7 @@ class RtdeServer:
         )
 
     def _serve_client(self, connection):
-        """Deals with one request of a client; reads if there is none left."""
+        """Handles one request of a client; reads if none is left."""
         session = self._sessions[connection]
         if not session.requests:
             data = _receive(connection, _BYTES_PER_TURN)
@@ -252,11 +252,11 @@ class RtdeServer:
             except RtdeError as error:
                 self._tell(session, str(error), rtde.TextLevel.WARNING)
             except Exception as error:
-                # One client's input must not end the robot of the others.
+                # One client's input must not stop the server for the others.
                 self._tell(session, repr(error), rtde.TextLevel.EXCEPTION)
                 self._drop(session)
                 return
-        # Data packages have a bound of their own; here answers count.
+        # Data packages have their own bound; this one is for answers.
         if len(session.outgoing) > max(waiting, _MOST_UNREAD):
             self._drop(session)
             return
@@ -287,7 +287,7 @@ class RtdeServer:
         reply = None
         if kind == PackageType.REQUEST_PROTOCOL_VERSION:
             version = rtde.decode_version_request(payload)
-            # Another version's packages have another size.
+            # Packages of the other version have another size.
             accepted = version in (1, 2) and (
                 version == session.version or not session.started
             )
@@ -324,7 +324,7 @@ class RtdeServer:
         session.outputs = None
         session.started = False
         session.held.clear()
-        # Not a number is out of range, too.
+        # NaN is out of range, too.
         if names and rtde.NOT_FOUND not in types and 1 <= frequency <= rate:
             session.outputs = rtde.Recipe(names, types, 1)
             session.divider = calc_divider(rate, frequency)
@@ -367,7 +367,7 @@ class RtdeServer:
         self._send(session, rtde.encode_text(message, version=session.version))
 
     def _stream(self):
-        """Sends every client its outputs of this cycle."""
+        """Sends this cycle's outputs to every client."""
         faults = self.faults
         now = time.monotonic()
         # Read once: another thread may set it while this one sends.
@@ -421,7 +421,7 @@ class RtdeServer:
         except BlockingIOError:
             return
         except OSError:
-            # Reading tells that it is gone.
+            # Reading shows that it is gone.
             session.outgoing.clear()
             return
         del session.outgoing[:sent]
@@ -456,33 +456,33 @@ class RtdeServer:
             connection.close()
 
     def do(self, line: str) -> str:
-        """Does what a line of the dashboard asks for and returns its answer.
+        """Executes a line of the dashboard and returns the answer.
 
         UR's own commands: play, pause, stop, running, robotmode, safetymode,
-        programState, PolyscopeVersion, unlock protective stop, quit. And
-        those that only a simulated robot has:
+        programState, PolyscopeVersion, unlock protective stop, quit. Those
+        that only a simulated robot has:
 
             simulate slider 0.5       a person moves the slider
-            simulate slider-frozen on clients can not move it any more
-            simulate arm-ignores-slider on  it moves, the arm does not care
+            simulate slider-frozen on clients cannot move it any more
+            simulate arm-ignores-slider on  it moves, the arm ignores it
             simulate arm-slow 0.6     the arm gets no slower than that
             simulate joint-offset 1 0.1  joint 1 is reported off by 0.1 rad
-            simulate joints-late 0.05 joints are reported so late, s
+            simulate joints-late 0.05 delay of the reported joints, s
             simulate tcp-offset 0 0 0.3  the tool is set up there, m
             simulate clock-rate 2     the clock runs twice as fast
             simulate safety 3         safety mode, here a protective stop
             simulate stall 0.5        no data packages for that long, s
             simulate skip 5           leave out the next data packages
-            simulate skip-every 10    leave out each tenth; 0: none
+            simulate skip-every 10    leave out every tenth; 0: none
             simulate duplicate on     each data package twice
             simulate fragment 7       at most 7 bytes at once; 0: all
             simulate coalesce 4       four data packages at once
             simulate text on          text messages in between
             simulate drop             close all connections
-            simulate restart          the same, and the clock begins at 0
+            simulate restart          the same, and the clock starts at 0
             simulate clock 5          the clock jumps by 5 s
             simulate claim NAME,NAME  inputs held by a fieldbus
-            simulate release          and given back
+            simulate release          and released
 
         Args:
             line: As typed.
@@ -609,20 +609,20 @@ class RtdeServer:
 
 
 def calc_divider(rate: float, frequency: float) -> int:
-    """Returns every how many control cycles a package is sent.
+    """Returns the number of control cycles per package.
 
-    The packages come at least as often as was asked for. A whole divider
-    stays what it is: rate / (rate / k) may be a bit less than k.
+    Packages come at least as often as requested. A whole divider stays exact:
+    rate / (rate / k) may be slightly less than k.
 
     Args:
         rate: Control cycles per second.
-        frequency: Packages per second that a client asks for, 1 to rate.
+        frequency: Packages per second that a client requests, 1 to rate.
     """
     return int(rate / frequency * (1.0 + 1e-9))
 
 
 def _accept(listener, connected) -> socket.socket | None:
-    """Returns a new connection; None: there are too many, or it has gone."""
+    """Returns a new connection; None: there are too many, or it is gone."""
     try:
         connection, _ = listener.accept()
     except OSError:
@@ -635,7 +635,7 @@ def _accept(listener, connected) -> socket.socket | None:
 
 
 def _receive(connection, most) -> bytes | None:
-    """Returns what came; b"" at the end; None if nothing is there yet."""
+    """Returns received bytes; b"" at the end; None if there are none yet."""
     try:
         return connection.recv(most)
     except BlockingIOError:
@@ -648,5 +648,5 @@ def _send_line(connection, text):
     try:
         connection.send(text.encode("ascii", "replace") + b"\n")
     except OSError:
-        # Whoever left does not want to know.
+        # The client has gone.
         return

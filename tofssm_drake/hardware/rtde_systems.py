@@ -1,4 +1,4 @@
-"""A robot as Drake systems: what comes is State, what goes is published.
+"""A robot as Drake systems: input becomes State, output is published.
 
 As with Drake's LcmInterfaceSystem, one system owns the connection, and the
 others are given it:
@@ -7,7 +7,7 @@ others are given it:
     RtdeSubscriberSystem   the newest report, as State
     RobotReportReceiver    report -> joints, gripper, products; pure
     SliderControl          report, speed fraction, problem -> command
-    RtdePublisherSystem    sends the command when it is told to publish
+    RtdePublisherSystem    sends the command in forced publish events
 """
 
 from pydrake.common.value import Value
@@ -38,8 +38,9 @@ class RtdeInterfaceSystem(LeafSystem):
         name: RtdeInterfaceSystem
 
     It has neither ports nor state nor events: a connection receives in a
-    thread of its own. Put it into the Diagram, so that the connection lives
-    as long, and give `connection` to the subscriber and the publisher.
+    thread of its own. Put it into the Diagram, so that the connection lives as
+    long as the Diagram, and give `connection` to the subscriber and the
+    publisher.
 
     Args:
         connection: An `RtdeClient`, or one without a robot.
@@ -53,11 +54,11 @@ class RtdeInterfaceSystem(LeafSystem):
 
     @property
     def connection(self) -> RobotConnection:
-        """What it owns."""
+        """The owned connection."""
         return self._connection
 
     def DoGetGraphvizFragment(self, params):
-        """Adds the robot's address to the system's picture."""
+        """Adds the robot's address to the system's drawing."""
         if self._url:
             params.header_lines += [f"rtde_url={self._url}"]
         return super().DoGetGraphvizFragment(params)
@@ -72,12 +73,12 @@ class RtdeSubscriberSystem(LeafSystem):
         output_ports:
         - report
 
-    `report` is a `RobotReport`. It is State: it changes in an update at the
-    begin of each of the Simulator's steps and never in between. So all that
-    is computed in a step is of one package.
+    `report` is a `RobotReport`. It is State: it changes only in an update at
+    the beginning of each step of the Simulator, so everything computed in a
+    step follows from one package.
 
-    Initialization waits for a report that is newer than those that the
-    connection had before.
+    Initialization waits for a report newer than those that the connection
+    already had.
 
     Args:
         connection: Where reports come from.
@@ -125,7 +126,7 @@ class RtdeSubscriberSystem(LeafSystem):
 
 
 class RtdePublisherSystem(LeafSystem):
-    """Sends a command to a robot when it is told to publish.
+    """Sends a command to a robot in forced publish events.
 
     .. pydrake_system::
 
@@ -133,8 +134,8 @@ class RtdePublisherSystem(LeafSystem):
         input_ports:
         - command
 
-    `command` is a `SliderCommand`. It is sent in forced publish events only,
-    so that whoever runs the loop decides when: once for each report.
+    `command` is a `SliderCommand`. It is sent in forced publish events only, so
+    that the run loop decides when: once for each report.
 
     Args:
         connection: Where commands go.
@@ -149,13 +150,13 @@ class RtdePublisherSystem(LeafSystem):
         self.DeclareForcedPublishEvent(self._publish)
 
     def _publish(self, context: Context) -> EventStatus:
-        # Nothing follows from what send returns: the slider's echo tells.
+        # The result of send is not used: the slider's echo says more.
         self._connection.send(self._command.Eval(context))
         return EventStatus.Succeeded()
 
 
 class RobotReportReceiver(LeafSystem):
-    """Takes a report apart into the ports of a simulated robot.
+    """Splits a report into the ports of a simulated robot.
 
     .. pydrake_system::
 
@@ -176,12 +177,12 @@ class RobotReportReceiver(LeafSystem):
 
     The first five are vectors of six: rad, rad/s, rad/s^2; the tool in the
     robot's base, as `RobotReport` has it. `gripper_closed` is a bit of the
-    digital outputs, 0 or 1; `products_placed` the register, 0 before there
-    is any; `task_done` is 1 once that is the number of products.
+    digital outputs, 0 or 1; `products_placed` is the register, 0 before there
+    is one; `task_done` is 1 once that is the number of products.
 
     Args:
         gripper_output: Number of the digital output that closes the gripper.
-        products: How many the robot's program places.
+        products: Number of products that the robot's program places.
     """
 
     def __init__(self, *, gripper_output: int = 0, products: int = 10):
@@ -229,7 +230,7 @@ class RobotReportReceiver(LeafSystem):
 
 
 class SliderControl(LeafSystem):
-    """Turns the speed fraction into commands and watches that they work.
+    """Turns the speed fraction into commands and checks their effect.
 
     .. pydrake_system::
 
@@ -248,20 +249,19 @@ class SliderControl(LeafSystem):
     `slider_obeys` (vector, 1) is 0 in a fault and else 1.
 
     `problem` (str) says why the monitor's data are not fresh and healthy, and
-    is empty if they are: from a fault the way back to speed leads through the
-    reduced fraction.
+    is empty if they are: after a fault the speed recovers through the reduced
+    fraction.
 
-    The outputs are of the inputs as they are now, however often they are
-    asked for: what is made of a report starts from the state after the report
-    before it. The update at the begin of each of the Simulator's steps
-    remembers both. So the last that was published of a report is what the
-    next one starts from.
+    The outputs follow from the current inputs, however often they are
+    evaluated: each report is processed from the state after the previous one.
+    The update at the beginning of each step of the Simulator remembers both, so
+    the next report starts from what was last published for this one.
 
     Args:
         config: Settings; checked.
-        connection: Where the reports come from: remembers only when the next
-            one is there, which spares the other steps an update of the
-            Diagram's State. None: remembers at each step.
+        connection: Where the reports come from: the update waits for the next
+            report, which saves the other steps an update of the Diagram's
+            State. None: it acts at each step.
     """
 
     def __init__(
@@ -279,7 +279,7 @@ class SliderControl(LeafSystem):
         )
         self._speed_fraction = self.DeclareVectorInputPort("speed_fraction", 1)
         self._problem = self.DeclareAbstractInputPort("problem", Value(""))
-        # After the report before the newest, and after the newest.
+        # After the previous report, and after the newest.
         self._before, self._newest = (
             self.DeclareAbstractState(Value(SliderState())) for _ in range(2)
         )
@@ -310,7 +310,7 @@ class SliderControl(LeafSystem):
         self.DeclarePerStepUnrestrictedUpdateEvent(self._update)
 
     def _get_before(self, context):
-        """Returns the state after the report before the present one."""
+        """Returns the state after the previous report."""
         newest = context.get_abstract_state(self._newest).get_value()
         if newest.command.sequence != self._report.Eval(context).sequence:
             return newest

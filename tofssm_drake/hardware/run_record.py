@@ -1,17 +1,17 @@
-"""The record of a run on hardware: an MCAP file, written as things happen.
+"""The record of a run on hardware: an MCAP file, written during the run.
 
 Nothing is held back in chunks: what was added is in the file a quarter of a
-second later, and whoever reads it comes as far as it goes. So a process that
-is killed loses no more than that. A thread writes it, so that a slow disk
-does not hold up the robot.
+second later, and an incomplete file can be read as far as it goes. So a process
+that is killed loses no more than that. A thread writes the file, so that a
+slow disk does not delay the robot.
 
-Each tick is one message on `/tick`: all that the monitor was handed, and what
-it made of it. What is not a number is left out there, or null within an
-array, and infinity is 1e999. `/monitor` is what one wants to see in a plot.
-The schemas keep to what Foxglove understands (see run_schema.py).
+Each tick is one message on `/tick`: all inputs of the monitor and its results.
+NaN is left out there, or null within an array, and infinity is 1e999.
+`/monitor` is for plots. The schemas use only what Foxglove understands (see
+run_schema.py).
 
-Messages are logged with the time at which they were added; published they
-were when the bytes arrived or were sent, and a tick when its report arrived.
+A message's log time is when it was added; its publish time is when the bytes
+arrived or were sent, and for a tick when its report arrived.
 """
 
 import collections
@@ -50,16 +50,16 @@ _REPLACED = {"NaN": "null", "Infinity": "1e999"}
 
 _RUN, _TICK, _MONITOR = "/run", "/tick", "/monitor"
 _BYTES = {
-    "/robot/received": "RTDE packages, each whole",
-    "/robot/sent": "RTDE packages, each whole",
+    "/robot/received": "RTDE packages, one per message",
+    "/robot/sent": "RTDE packages, one per message",
     "/rings/received": "ring frames as they came: datagrams or serial bytes",
 }
 
 
 def encode_json(values: dict) -> bytes:
-    """Returns plain values, arrays and NumPy's numbers as JSON."""
+    """Returns plain values, arrays and NumPy numbers as JSON."""
     text = json.dumps(values, default=_make_plain, separators=(",", ":"))
-    # Looking for them costs as much as all the rest.
+    # Replacing them costs as much as all the rest.
     if "NaN" in text or "Infinity" in text:
         text = _TOKENS.sub(lambda m: _REPLACED.get(m[0], m[0]), text)
     return text.encode()
@@ -70,28 +70,28 @@ def _make_plain(value):
         return value.tolist()
     if dc.is_dataclass(value):
         return {n: v for n, v in vars(value).items() if not _is_none(v)}
-    raise TypeError(f"{type(value).__name__} is no plain value")
+    raise TypeError(f"{type(value).__name__} is not a plain value")
 
 
 def _is_none(value):
-    """Whether it is no number at all, and may be left out."""
+    """Whether it is NaN, all of it, and may be left out."""
     if isinstance(value, float):
         return math.isnan(value)
     return (
         isinstance(value, np.ndarray)
         and value.size > 0
-        # Arrays of which the first is a number are written anyway.
+        # An array whose first element is a number is written anyway.
         and math.isnan(value.flat[0])
         and bool(np.isnan(value).all())
     )
 
 
 def _fill(cls, values):
-    """Returns a message of a class from what JSON made of it."""
+    """Returns a message of a class from its decoded JSON."""
     fields = {}
     for name, default in vars(cls()).items():
         if name not in values:
-            # Only what is not a number was left out.
+            # Only NaN was left out.
             fields[name] = np.nan if isinstance(default, float) else default
             continue
         value = values[name]
@@ -108,7 +108,7 @@ def _fill(cls, values):
 
 
 def _update_scans(scans, new):
-    """Puts new scans, as they were written, to the others; returns all."""
+    """Adds new scans, as they were written, to the others; returns all."""
     for scan in new:
         scans[scan["ring"]] = _fill(RingScan, scan)
     return tuple(scans[i] for i in range(len(scans)))
@@ -121,22 +121,22 @@ class RecordedTick:
     time: float
     """Diagram's time, s."""
     clock_offset: float
-    """What the Diagram's clock shows more than the host's, s."""
+    """Diagram's minus host's clock, s."""
     report: RobotReport
     scans: tuple[RingScan, ...]
-    """Newest scan of each ring, on the host's clock; of virtual ones none."""
+    """Newest scan of each ring, on the host's clock; none of virtual rings."""
     command: SliderCommand
-    """What was sent, or would have been in a dry run."""
+    """What was sent, or in a dry run would have been."""
     state: dict
-    """What the monitor said: robot_state, ring_states, reason, ..."""
+    """The monitor's results: robot_state, ring_states, reason, ..."""
     sent: float = math.nan
-    """Host's time when the command was handed over, s; NaN: it was not."""
+    """Host's time at which the command was handed over, s; NaN: it was not."""
     busy: float = 0.0
     """Processor time of the program so far, s."""
 
 
 def make_monitor_message(tick: RecordedTick) -> dict:
-    """Returns what `/monitor` tells of a tick: plain values, by name."""
+    """Returns a tick's message on `/monitor`: plain values, by name."""
     report, state = tick.report, tick.state
     message = {
         "time": tick.time,
@@ -178,21 +178,21 @@ def make_monitor_message(tick: RecordedTick) -> dict:
 
 
 class RunRecorder:
-    """Writes a record; a context manager, and safe to use from threads.
+    """Writes a record; a context manager, thread-safe.
 
-    What was added before `add_run` is written then: a run that never begins
-    leaves a file as it was, or none.
+    What is added before `add_run` is written then: a run that never begins
+    leaves the file as it was, or none.
 
-    A disk that is full or gone is told by the next `add_tick`: whoever hands
-    in bytes has other things to do.
+    A disk that is full or gone is reported by the next `add_tick`, not to the
+    threads that hand in bytes.
 
     Args:
-        path: The file; what is there is replaced when the run begins.
-        run: Plain values to make the same monitor of again; None: they are
-            not known yet, and `add_run` follows.
+        path: The file; an existing one is replaced when the run begins.
+        run: Plain values from which the same monitor can be made again; None:
+            not known yet, `add_run` follows.
 
     Raises:
-        UserError: The file can not be written.
+        UserError: The file cannot be written.
     """
 
     def __init__(self, path: pathlib.Path, run: dict | None = None):
@@ -206,7 +206,7 @@ class RunRecorder:
         except OSError as error:
             self._error = error
             self._raise_error()
-        # What was added is put into the format when there is time for it.
+        # What was added is formatted when there is time for it.
         self._added = collections.deque()
         self._lock = threading.Lock()
         self._closed = threading.Event()
@@ -249,15 +249,15 @@ class RunRecorder:
         self.close()
 
     def add_run(self, run: dict) -> None:
-        """Writes what the monitor is made of; once, before the first tick.
+        """Writes what the monitor is made from; once, before the first tick.
 
         Raises:
-            UserError: The file can not be written.
+            UserError: The file cannot be written.
         """
         message = {"version": _VERSION, "epoch": self._epoch, **run}
         self._add(_RUN, encode_json(message), time.monotonic())
         try:
-            # A pipe holds nothing that could be in the way.
+            # A pipe has no old content.
             if stat.S_ISREG(os.fstat(self._file.fileno()).st_mode):
                 self._file.truncate(0)
         except OSError as error:
@@ -267,10 +267,10 @@ class RunRecorder:
         self._raise_error()
 
     def add_tick(self, tick: RecordedTick) -> None:
-        """Writes a tick; of the scans only those that are new.
+        """Writes a tick, with only those scans that are new.
 
         Raises:
-            UserError: Something before could not be written.
+            UserError: Something could not be written earlier.
         """
         self._raise_error()
         values = _make_plain(tick) | {"scans": self._list_new(tick.scans)}
@@ -283,12 +283,12 @@ class RunRecorder:
     def add_robot_bytes(
         self, arrival: float, was_sent: bool, data: bytes
     ) -> None:
-        """Writes what went to or came from the robot, and when, s."""
+        """Writes bytes sent to or received from the robot, and when, s."""
         topic = "/robot/sent" if was_sent else "/robot/received"
         self._add(topic, data, arrival)
 
     def add_ring_bytes(self, arrival: float, source: str, data: bytes) -> None:
-        """Writes what came from the rings, and when, s."""
+        """Writes bytes received from the rings, and when, s."""
         self._add("/rings/received", data, arrival)
 
     def close(self) -> None:
@@ -326,12 +326,12 @@ class RunRecorder:
         )
 
     def _add(self, topic, data, when):
-        # Links add what they receive and send before it is dealt with.
+        # Links call this before they handle what they receive and send.
         if not self._closed.is_set() and self._error is None:
             self._added.append((topic, data, time.time_ns(), when))
 
     def _format(self):
-        """Puts what was added into the format; the lock is held."""
+        """Formats what was added; the lock must be held."""
         while self._added:
             topic, data, now, when = self._added.popleft()
             self._writer.add_message(
@@ -362,13 +362,13 @@ class RunRecorder:
     def _raise_error(self):
         if self._error is not None:
             raise UserError(
-                f"--record: {self._path}: can not write it: "
+                f"--record: {self._path}: cannot write it: "
                 f"{self._error.strerror}"
             )
 
 
 class _Buffer:
-    """Takes what a Writer writes until it is taken to the file."""
+    """Holds what a Writer writes until it goes to the file."""
 
     def __init__(self):
         self._pieces = []
@@ -395,17 +395,17 @@ class RunReader:
     """Reads a record as far as it goes.
 
     Attributes:
-        run: The values that the recorder was given.
-        problem: Why it goes no further than it was read, and from where on,
-            or what is wrong with it; empty: nothing is known.
-        is_damaged: Whether it is more than a file that ends too early, as of
-            a process that was killed.
+        run: The values passed to the recorder.
+        problem: Why and where reading stopped, or what is wrong with it;
+            empty: no known problem.
+        is_damaged: Whether more is wrong than an early end, as left by a
+            process that was killed.
 
     Args:
         path: The file.
 
     Raises:
-        UserError: It is no such record.
+        UserError: It is not such a record.
     """
 
     def __init__(self, path: pathlib.Path):
@@ -417,24 +417,24 @@ class RunReader:
                 start = stream.read(1 << 20)
         except OSError as error:
             raise UserError(
-                f"{path}: can not read it: {error.strerror}"
+                f"{path}: cannot read it: {error.strerror}"
             ) from None
         if not start.startswith(b"\x89MCAP"):
-            raise UserError(f"{path}: is no MCAP file")
+            raise UserError(f"{path}: is not an MCAP file")
         self.run = next(self._read(_RUN), None)
         if self.run is None or self.run.get("version") != _VERSION:
             raise UserError(
-                f"{path}: is no record of `tofssm hardware`, or of another "
-                "version"
+                f"{path}: is not a record of `tofssm hardware`, or of "
+                "another version"
             )
 
     def read_ticks(self) -> Iterator[RecordedTick]:
-        """Yields the ticks in their order."""
+        """Yields the ticks in order."""
         scans: dict[int, RingScan] = {}
-        end = "its begin"
+        end = "its beginning"
         for values in self._read(_TICK):
             try:
-                # An older record has scans that were taken a little sooner.
+                # An older record has scans that were taken slightly earlier.
                 _update_scans(scans, values.get("early_scans", ()))
                 tick = RecordedTick(
                     time=values["time"],
@@ -449,7 +449,7 @@ class RunReader:
                 after = f"{tick.time:.3f} s"
             except (LookupError, TypeError, ValueError, AttributeError) as why:
                 self.is_damaged = True
-                self.problem = f"a tick that is none: {why!r}"
+                self.problem = f"an invalid tick: {why!r}"
                 break
             end = after
             yield tick
@@ -480,10 +480,10 @@ class RunReader:
                 position = stream.tell()
                 stream.seek(-min(len(_MAGIC), position), os.SEEK_END)
                 is_whole = stream.read() == _MAGIC
-                # It ends where the process that wrote it did, or worse.
+                # The writing process ended there, or worse.
                 self.is_damaged = is_whole or position < stream.tell()
                 self.problem = (
-                    f"byte {good} and what follows can not be read"
+                    f"byte {good} and what follows cannot be read"
                     if self.is_damaged
-                    else f"it ends in the midst, at byte {position}"
+                    else f"it ends within a record, at byte {position}"
                 )

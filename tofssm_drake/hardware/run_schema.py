@@ -1,9 +1,9 @@
-"""JSON schemas of a run's record, in the part that Foxglove understands.
+"""JSON schemas of a run's record, in the subset that Foxglove understands.
 
-Foxglove makes its list of what can be plotted of a channel's schema, and does
-not show the channel if it can not read that: each property has one type,
-never null; an object has properties; an array has items of one type. Numbers
-with names (`oneOf` of constants) are shown by name.
+Foxglove derives the list of what can be plotted from a channel's schema, and
+does not show the channel if it cannot read the schema: each property has one
+type, never null; an object has properties; an array has items of one type.
+Numbers with names (`oneOf` of constants) are shown by name.
 """
 
 import enum
@@ -37,7 +37,7 @@ def _make_object(optional=(), **properties):
 
 
 def _describe(value):
-    """Returns the schema of a field like this default of it."""
+    """Returns the schema of a field with this default."""
     if isinstance(value, np.ndarray):
         return _INTEGERS if value.dtype.kind in "iu" else _NUMBERS
     if isinstance(value, str):
@@ -46,7 +46,7 @@ def _describe(value):
 
 
 def _make_message(message, **more):
-    """Returns the schema of a message; what is not a number is left out."""
+    """Returns the schema of a message, in which NaN may be left out."""
     fields = {name: _describe(v) for name, v in vars(message).items()}
     optional = [
         name for name, s in fields.items() if s not in (_INTEGER, _INTEGERS)
@@ -128,4 +128,4 @@ SCHEMAS = {
         busy=_NUMBER,
     ),
 }
-"""Schema by topic; the others are bytes."""
+"""Schema by topic; the other topics are bytes."""

@@ -1,9 +1,9 @@
-"""A simulated UR10 with its program, slider, modes and registers; no sockets.
+"""A simulated UR10 with program, slider, modes and registers; no sockets.
 
-It stands in for a robot and its controller where there is none. `step` is one
-control cycle: inputs that arrived are applied, the program goes on at the
-speed that the slider allows, and `outputs` is what the controller would tell
-in that cycle. The server around it is `rtde_server.py`.
+It stands in for a robot and its controller. `step` is one control cycle:
+received inputs are applied, the program advances at the speed that the slider
+allows, and `outputs` is what the controller would report in that cycle. The
+server around it is `rtde_server.py`.
 """
 
 import collections
@@ -32,7 +32,7 @@ _SERIES = {
     "cb3": (125, (3, 15, 8, 106)),
     "e": (500, (5, 12, 4, 1101)),
 }
-# Fields that neither of these software versions has.
+# Fields that neither of the simulated software versions has.
 _TOO_NEW = {"actual_current_as_torque"}
 _E_SERIES_ONLY = {"ft_raw_wrench"}
 
@@ -50,7 +50,7 @@ _SAFETY_BITS = {
     SafetyMode.FAULT: SafetyStatusBit.FAULT,
 }
 _MAY_MOVE = (SafetyMode.NORMAL, SafetyMode.REDUCED)
-# Joints can be reported that much too late, s.
+# Largest delay of the reported joints, s.
 _MOST_LATE = 1.0
 
 
@@ -64,15 +64,15 @@ class SimulatedUrConfig:
     # The task; the same as in simulation.
     program: ProgramConfig = dc.field(default_factory=ProgramConfig)
 
-    # Begin anew when the program is done.
+    # Restart the program when it is done.
     loop: bool = False
 
     # When the program starts: "now", with the first "heartbeat" (change of
     # the heartbeat register), or by the dashboard's "play".
     start: str = "now"
 
-    # Time that the speed along the path takes to follow the slider over its
-    # full range, s; 0: at once (assumed: there is no public figure).
+    # Time in which the speed along the path follows the slider over its full
+    # range, s; 0: at once (assumed: there is no public figure).
     ramp: float = 0.2
 
     # Time from full speed to standstill when the program pauses or stops, s
@@ -82,7 +82,7 @@ class SimulatedUrConfig:
     protective_stop_time: float = 0.1
 
     # The robot program's watchdog: it acts if the heartbeat register does not
-    # change for that long while the program plays, s; 0: not loaded. The
+    # change for this long while the program plays, s; 0: not loaded. The
     # action is "pause" or "stop".
     watchdog_timeout: float = 0.0
     watchdog_action: str = "stop"
@@ -93,9 +93,9 @@ class SimulatedUrConfig:
     products_register: int = 24
     gripper_output: int = 0
 
-    # What some robots were reported to do: the slider jumps to 100 % when the
-    # program pauses; a protective stop when the slider leaves 0 while the
-    # program plays.
+    # Reported of some robots: the slider jumps to 100 % when the program
+    # pauses; a protective stop when the slider leaves 0 while the program
+    # plays.
     slider_resets_on_pause: bool = False
     protective_stop_after_zero: bool = False
 
@@ -140,7 +140,7 @@ class SimulatedUrConfig:
 
 
 class SimulatedUr:
-    """The robot: steps of one control cycle, and what people do to it.
+    """The robot: its control cycles, and what people do to it.
 
     Args:
         config: Settings; checked.
@@ -176,26 +176,26 @@ class SimulatedUr:
             name: _make_zero(kind) for name, kind in self.output_types.items()
         }
         self.cycle = 0
-        """Counts control cycles; not the controller's clock."""
+        """Number of control cycles; not the controller's clock."""
         self.timestamp = config.initial_timestamp
         self.slider = 1.0
         self.slider_frozen = False
         """A fault to inject: inputs do not move the slider."""
         self.ignores_slider = False
-        """A fault to inject: the slider moves, and the arm does not care."""
+        """A fault to inject: the slider moves, but the arm ignores it."""
         self.slowest_fraction = 0.0
-        """A fault to inject: the arm follows the slider down to that only."""
+        """A fault to inject: the arm follows the slider only down to this."""
         self.joint_offset = np.zeros(6)
-        """A fault to inject: the reported joints are off by that, rad, (6,);
-        the tool's pose is right."""
+        """A fault to inject: error of the reported joints, rad, (6,); the
+        tool's pose is right."""
         self.joints_late = 0.0
-        """A fault to inject: the reported joints and their speeds are of so
-        long ago, s, at most 1; the tool's pose is of now."""
+        """A fault to inject: delay of the reported joints and their speeds, s,
+        at most 1; the tool's pose is current."""
         self.clock_rate = 1.0
         """A fault to inject: seconds of the controller's clock per second."""
         self.tcp_offset = calc_tcp_offset(kinematics)
         """Tool in the flange as the robot is set up: x, y, z, rotation
-        vector, m, rad, (6,); at first the modelled tool's."""
+        vector, m, rad, (6,); initially the modelled tool's."""
         self.position = np.zeros(6)
         """True joint angles, rad, (6,), whatever is reported."""
         self.velocity = np.zeros(6)
@@ -207,7 +207,7 @@ class SimulatedUr:
         self.runtime_state = RuntimeState.STOPPED
         self.path_time = 0.0
         self.speed_fraction = 0.0
-        """How fast the path is run, of nominal: follows slider and pauses."""
+        """Speed along the path, of nominal: follows slider and pauses."""
         self._beat = None
         self._beat_cycle = 0
         self.outputs |= {
@@ -224,7 +224,7 @@ class SimulatedUr:
         self._write_outputs(np.zeros(6))
 
     def receive(self, values: dict) -> None:
-        """Takes inputs that a client wrote, for the cycle to come."""
+        """Takes inputs written by a client, for the next cycle."""
         if values.get("speed_slider_mask", 0) & 1 and not self.slider_frozen:
             fraction = values.get("speed_slider_fraction", math.nan)
             if math.isfinite(fraction):
@@ -259,10 +259,10 @@ class SimulatedUr:
         self.slider = fraction
 
     def play(self) -> bool:
-        """Starts the program or resumes it; returns whether it may.
+        """Starts or resumes the program; returns whether it may.
 
-        A program that was stopped goes on where it was: its products are
-        where it left them. One that is done begins anew.
+        A stopped program continues where it was, since its products are where
+        it left them. A finished one restarts.
         """
         if self.safety_mode not in _MAY_MOVE:
             return False
@@ -298,7 +298,7 @@ class SimulatedUr:
             self.pause()
 
     def restart_clock(self) -> None:
-        """Lets the controller's clock begin at 0, as a restart does."""
+        """Sets the controller's clock to 0, as a restart does."""
         self.shift_clock(-self.timestamp)
 
     def shift_clock(self, seconds: float) -> None:
@@ -313,7 +313,7 @@ class SimulatedUr:
         )
 
     def step(self) -> None:
-        """Goes on by one control cycle."""
+        """Advances by one control cycle."""
         period = 1.0 / self.rate
         self.cycle += 1
         self.timestamp += period * self.clock_rate
@@ -343,7 +343,7 @@ class SimulatedUr:
         self._write_outputs((next_rate - rate) / period)
 
     def _watch_heartbeat(self):
-        """The watchdog of the robot's program."""
+        """Acts as the watchdog of the robot's program."""
         beat = self.inputs[
             f"input_int_register_{self._config.heartbeat_register}"
         ]
@@ -384,7 +384,7 @@ class SimulatedUr:
         if time > 0.0:
             change = min(max(change, -period / time), period / time)
         rate = self.speed_fraction + change
-        # What rounding leaves must not keep the robot from standing still.
+        # A rounding error must not keep the robot moving.
         return 0.0 if rate < 1e-9 else rate
 
     def _set_output(self, bit, value):
@@ -432,7 +432,7 @@ class SimulatedUr:
         }
 
     def _calc_reported_joints(self):
-        """Returns what is told of angles and speeds of the joints."""
+        """Returns the joints' angles and speeds as reported."""
         self._joints.append((self.position, self.velocity))
         late = min(round(self.joints_late * self.rate), len(self._joints) - 1)
         q, qd = self._joints[-1 - late]
@@ -448,7 +448,7 @@ class SimulatedUr:
 def calc_tool_motion(
     kinematics: RingKinematics, q: np.ndarray, qd: np.ndarray, X_FT: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Returns what a UR controller tells of tool and elbow.
+    """Returns what a UR controller reports of tool and elbow.
 
     Args:
         kinematics: Of the robot.
@@ -468,14 +468,14 @@ def calc_tool_motion(
     X_BT = compose(X_BA[-1], X_FT)
     pose = _calc_pose_vector(X_BT[:, :3], X_BT[:, 3])
     v_BT = qd @ np.cross(axes, X_BT[:, 3] - X_BA[1:, :, 3])
-    # The elbow joint's origin rides on the upper arm.
+    # The elbow joint's origin moves with the upper arm.
     p_BE = X_BA[3, :, 3]
     v_BE = qd[:2] @ np.cross(axes[:2], p_BE - X_BA[1:3, :, 3])
     return pose, np.concatenate([v_BT, qd @ axes]), p_BE, v_BE
 
 
 def calc_tcp_offset(kinematics: RingKinematics) -> np.ndarray:
-    """Returns the tool's pose in the flange, as a UR controller tells it.
+    """Returns the tool's pose in the flange, as a UR controller reports it.
 
     Args:
         kinematics: Of the robot; its tool sits on the flange.

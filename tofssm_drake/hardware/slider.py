@@ -1,10 +1,10 @@
 """When to write the robot's speed slider, and whether it obeys.
 
-Writing the slider is a request: a write may be lost, a person may move the
-slider, a pause may reset it. So each report's echo, `target_speed_fraction`,
-is compared with what was written, and the arm's speed with what the echo allows
-(`arm_obedience.py`). One pure function, `step_slider`, does this for each
-report.
+Writing the slider is only a request: a write may be lost, a person may move
+the slider, a pause may reset it. So each report's echo,
+`target_speed_fraction`, is compared with what was written, and the arm's speed
+with what the echo allows (`arm_obedience.py`). One pure function,
+`step_slider`, does this for each report.
 """
 
 import dataclasses as dc
@@ -25,10 +25,10 @@ from tofssm_drake.messages import RobotReport, SliderCommand
 
 # A longer gap between reports counts as this long, s.
 _LONGEST_STEP = 0.05
-# An echo may still show what was replaced this long ago, s.
+# An echo may still show a value that was replaced this long ago, s.
 _LATE = 0.25
-# A robot whose joints are all slower stands still, rad/s; and the speed of the
-# fastest joint, which may creep on at the lowest fraction.
+# A robot whose joints are all slower stands still, rad/s; and the top speed of
+# the fastest joint, which may creep at the lowest fraction.
 _STANDING = 0.01
 _FASTEST = 3.2
 # An echo up to this counts as 0.
@@ -48,38 +48,37 @@ class SliderConfig:
     # either, it is a fault.
     confirm_cycles: int = 5
 
-    # Echo and written value may differ by this much (assumed: how a controller
-    # rounds is not published).
+    # Echo and written value may differ by this much (assumed: the rounding of
+    # controllers is not published).
     tolerance: float = 0.01
 
     # The slider is never set lower, except in a fault. 0 stops the robot.
-    # Some robots are reported to answer the step from 0 upwards with a
-    # protective stop. For them a value such as 0.01 lets the robot creep
-    # instead of stopping; something else must then really stop it.
+    # Some robots are reported to make a protective stop when the slider
+    # leaves 0. With a value such as 0.01 they creep instead of stopping;
+    # something else must then really stop them.
     minimum_fraction: float = 0.0
 
     # After a pause, a stop, a fault or a new connection the fraction may grow
     # no faster than this, 1/s.
     rise_rate: float = 2.0
 
-    # The way back to full speed leads through the safety law's fraction of the
-    # reduced state: the slider must have been there for this long, s, without
-    # a problem (assumed: five times the greatest age of a ring's sample).
+    # On the way back to full speed the slider must stay at the safety law's
+    # fraction of the reduced state for this long, s, without a problem
+    # (assumed: five times the greatest age of a ring's sample).
     reduced_fraction: float = 0.5
     recovery_time: float = 0.5
 
-    # If a fault ends before the law has slowed the robot down that far, the
-    # slider goes down at this rate, 1/s (the law's own).
+    # If a fault ends before the law has slowed the robot that far, the slider
+    # falls at this rate, 1/s (the law's own).
     fall_rate: float = 10.0 / 3.0
 
-    # What happens if someone sets the slider lower than wanted: True leaves
-    # it there until someone raises it, False sets it back.
+    # If someone sets the slider lower than wanted: True leaves it there until
+    # someone raises it, False sets it back.
     yield_to_operator: bool = True
 
-    # Up to where the slider may go at first, 0 to 1, until a person moves it.
-    # None: no further than where it stands at the start, since a person may
-    # have set it there. What an earlier run left at 0 stays there until
-    # somebody raises it.
+    # Upper limit of the slider until a person moves it, 0 to 1. None: where
+    # it stands at the start, since a person may have set it there. If an
+    # earlier run left it at 0, it stays there until someone raises it.
     operator_limit: float | None = None
 
     # How fast the arm must follow the slider.
@@ -135,19 +134,19 @@ class SliderPhase(enum.IntEnum):
     """What is happening to the slider."""
 
     WAITING = 0
-    """No report yet, or robot and slider have not been seen at rest yet."""
+    """No report yet, or robot and slider not yet seen at rest."""
     FOLLOWING = 1
     """The echo is what was written."""
     RISING = 2
     """The echo follows, but the fraction may only grow slowly for now."""
     YIELDING = 3
-    """Someone has set it lower, and that holds."""
+    """Someone has set it lower, and that is respected."""
     HOLDING = 4
-    """The robot does not run its program: the slider stays lowest."""
+    """The robot does not run its program: the slider stays at its lowest."""
     FAULT = 5
     """Echo or arm does not follow: 0 is written, the heartbeat stops."""
     RECOVERING = 6
-    """Something is or was wrong: no more than the reduced fraction."""
+    """Something is or was wrong: at most the reduced fraction."""
 
 
 @dc.dataclass(frozen=True, eq=False, kw_only=True)
@@ -158,37 +157,37 @@ class SliderState:
     reason: str = "no report from the robot yet"
     """Why the slider is not simply following, in one line; else empty."""
     command: SliderCommand = dc.field(default_factory=SliderCommand)
-    """What to send now, in answer to the report of its sequence."""
+    """What to send now, in answer to the report with its sequence."""
     session: int = -1
     """Of that report."""
     timestamp: float = math.nan
     """Of that report, s on the robot's clock."""
     count: int = 0
-    """Of reports answered."""
+    """Number of reports answered."""
     echo: float = math.nan
     """Of that report: where the slider was."""
     fraction: float = math.nan
     """Where it was last set or left; NaN: not yet in this session."""
     replaced: tuple[tuple[float, int, float], ...] = ()
-    """Fractions replaced lately, with `count` and `timestamp` of that."""
+    """Recently replaced fractions, with `count` and `timestamp` of that."""
     confirmed: bool = False
     """Since the start or the last fault the echo has been `fraction` at least
     once while the robot stood still."""
     obeyed: int = 0
-    """For how many reports in a row the echo has been `fraction`."""
+    """Number of reports in a row in which the echo was `fraction`."""
     deadline: float = math.inf
-    """`count` by which setting it again must have helped."""
+    """`count` by which setting it again must have worked."""
     operator_fraction: float = math.nan
-    """What a person at the slider allows, in later sessions too; NaN: nothing
+    """Limit set by a person at the slider, also for later sessions; NaN: not
     seen yet."""
     ceiling: float = 0.0
-    """What is allowed after a hold or a fault, growing; inf: no limit."""
+    """Rising limit after a hold or a fault; inf: no limit."""
     healthy: float = 0.0
-    """How long the slider was at the reduced fraction without a problem, s."""
+    """Time at the reduced fraction without a problem, s."""
     cause: str = ""
     """What was wrong last."""
     left_zero: float = -math.inf
-    """When the slider was last set from 0 to more, s."""
+    """When the slider was last raised from 0, s."""
     arm: ArmState = dc.field(default_factory=ArmState)
     """Whether the arm follows the slider."""
 
@@ -197,14 +196,14 @@ class SliderState:
 
 
 def find_hold(report: RobotReport) -> str:
-    """Returns why the robot does not run its program; "" if it does."""
+    """Returns why the robot is not running its program; "" if it is."""
     if report.robot_mode != RobotMode.RUNNING:
         return f"robot mode: {name_of(RobotMode, report.robot_mode)}"
     for mode in (report.safety_mode, report.safety_status):
         # Older software has no safety status: -1.
         if mode not in (SafetyMode.NORMAL, SafetyMode.REDUCED, -1):
             return f"safety mode: {name_of(SafetyMode, mode)}"
-    # Bits that contradict the mode count as well; 0 says nothing.
+    # Bits that contradict the mode count as well; 0 has no meaning.
     bits = report.safety_status_bits
     if bits > 0 and bits & ~_MOVING:
         return f"safety status bits: {bits:#x}"
@@ -222,19 +221,19 @@ def step_slider(
     wanted: float,
     problem: str = "",
 ) -> SliderState:
-    """Takes one report and says what to send in answer.
+    """Takes one report and decides what to send in answer.
 
     The mask of the command is 1 only if the slider must be set: when the
-    wanted fraction changed or the echo is astray. Otherwise a person could
-    not move it.
+    wanted fraction changed or the echo is wrong. Otherwise a person could not
+    move it.
 
     After any problem with the robot or with the monitor's data, the fraction
-    grows again only through `reduced_fraction`. A problem with the monitor's
-    data does not stop the robot here: the safety law does.
+    recovers only through `reduced_fraction`. It is the safety law, not this
+    function, that stops the robot for a problem with the monitor's data.
 
     Args:
         config: Settings.
-        state: After the report before.
+        state: After the previous report.
         report: The newest; if it is not new, nothing changes.
         wanted: Speed fraction of the safety law; NaN counts as 0.
         problem: Why the monitor's data are not fresh and healthy; "" if they
@@ -264,14 +263,14 @@ def step_slider(
 
 @dc.dataclass(frozen=True, eq=False, kw_only=True)
 class _Now:
-    """One report and what else is known at its time."""
+    """One report and what is known at its time."""
 
     report: RobotReport
     echo: float
     """Where the slider is; NaN: the report's value is impossible."""
     count: int
-    """Number of this report. Reports are counted, not time: a computer that
-    was late neither wrote nor looked in the meantime."""
+    """Number of this report. Reports are counted, not time, since a late
+    computer neither wrote nor looked in the meantime."""
     wanted: float
     hold: str
     problem: str
@@ -282,13 +281,13 @@ class _Seen:
     """How the echo compares with what was written."""
 
     replaced: tuple[tuple[float, int, float], ...]
-    """See `SliderState`, without what is too old."""
+    """See `SliderState`; without outdated ones."""
     obeys: bool
     """The echo is what was last written."""
     astray: bool
-    """It is neither that nor what was written just before."""
+    """It is neither that nor what was written shortly before."""
     moved: bool
-    """It went where nothing that was written explains it: a person."""
+    """It changed to a value that was never written: a person moved it."""
 
 
 @dc.dataclass(frozen=True, kw_only=True)
@@ -308,7 +307,7 @@ class _Choice:
 
 
 def _read_echo(config, report):
-    """Returns where the slider is; NaN if no slider can be there."""
+    """Returns where the slider is; NaN if that is impossible."""
     echo = report.target_speed_fraction
     if -config.tolerance <= echo <= 1.0 + config.tolerance:
         return echo
@@ -316,7 +315,7 @@ def _read_echo(config, report):
 
 
 def _begin_session(config, state, echo):
-    """Returns the state for a session that knows nothing of the old one."""
+    """Returns the state for a new session."""
     return SliderState(
         command=state.command,
         count=state.count,
@@ -335,7 +334,7 @@ def _compare_echo(config, state, now):
     recent = [
         f for f, n, _ in replaced if now.count - n <= config.confirm_cycles
     ]
-    # Comparisons with NaN are all false.
+    # Comparisons with NaN are false.
     astray = not math.isnan(state.fraction) and not _is_within(
         echo, (state.fraction, *recent), config.tolerance
     )
@@ -365,7 +364,7 @@ def _choose(config, state, now, seen, *, is_arm_faulty):
     )
     target = max(min(now.wanted, ceiling), config.minimum_fraction)
     target = min(target, operator)
-    # A person left the slider where it is allowed: nothing to correct.
+    # A person left the slider at the target: nothing to correct.
     kept = seen.moved and target == now.echo
     astray = seen.astray and not kept
     deadline = _find_deadline(config, state, now, astray)
@@ -394,7 +393,7 @@ def _choose(config, state, now, seen, *, is_arm_faulty):
 
 
 def _find_deadline(config, state, now, astray):
-    """Returns the `count` by which setting it again must have helped."""
+    """Returns the `count` by which setting it again must have worked."""
     if not astray:
         return math.inf
     if state.deadline == math.inf:
@@ -403,7 +402,7 @@ def _find_deadline(config, state, now, astray):
 
 
 def _make_next_state(config, state, now, seen, arm, choice):
-    """Returns what is remembered, with the command in it."""
+    """Returns the next state, with the command in it."""
     report, target = now.report, choice.target
     replaced = seen.replaced
     if target != state.fraction and not math.isnan(state.fraction):
@@ -455,7 +454,7 @@ def _watch_arm(config, state, now):
         allowed=max(echo, state.fraction),
         lowest=config.minimum_fraction,
         joint_speeds=config.joint_speeds,
-        # Without an echo nobody knows what the slider allows.
+        # Without an echo it is unknown what the slider allows.
         is_judged=not (
             now.hold
             or is_guided
@@ -466,11 +465,11 @@ def _watch_arm(config, state, now):
 
 
 def find_operator_limit(config: SliderConfig, echo: float) -> float | None:
-    """Returns up to where the slider may go, by where it stands at first.
+    """Returns the slider's limit, from where it stands at the start.
 
     Args:
-        config: Settings; with `operator_limit` it is that.
-        echo: Where the slider stands before anything was written.
+        config: Settings; `operator_limit` is returned if it is set.
+        echo: Where the slider stands before anything is written.
 
     Returns:
         For `operator_limit`; None: it is at 0 or at an unknown value.
@@ -486,10 +485,10 @@ def find_operator_limit(config: SliderConfig, echo: float) -> float | None:
 
 
 def _carry_operator(config, state, echo):
-    """Returns what a person allows, as far as known at a new session.
+    """Returns a person's limit, as far as known at a new session.
 
-    No more than in the session before: a loose cable must not oblige anyone
-    to set the slider low a second time.
+    It is never above that of the previous session: a loose cable must not
+    require a person to set the slider low again.
     """
     if math.isnan(state.operator_fraction):
         return find_operator_limit(config, echo) or 0.0
@@ -499,13 +498,13 @@ def _carry_operator(config, state, echo):
         and state.phase != SliderPhase.FAULT
         and echo < min(written) - config.tolerance
     ):
-        # Lower than anything that was written: a person did it meanwhile.
+        # Lower than anything written: a person moved it meanwhile.
         return min(max(echo, 0.0), state.operator_fraction)
     return state.operator_fraction
 
 
 def _calc_ceiling(config, state, now, *, is_down):
-    """Returns what is allowed now, and for how long all was well, s."""
+    """Returns the limit now, and how long there was no problem, s."""
     if is_down:
         return config.minimum_fraction, 0.0
     is_well = not now.problem
@@ -525,13 +524,13 @@ def _calc_ceiling(config, state, now, *, is_down):
 
 
 def _is_standing(config, report):
-    """Returns whether the robot is as slow as the lowest fraction allows."""
+    """Returns whether no joint is faster than the lowest fraction allows."""
     limit = _STANDING + config.minimum_fraction * _FASTEST
     return bool((abs(report.velocity) <= limit).all())
 
 
 def _is_within(value, values, tolerance):
-    """Returns whether a value lies between others; NaN does not."""
+    """Returns whether a value lies between others; never for NaN."""
     return min(values) - tolerance <= value <= max(values) + tolerance
 
 
@@ -571,7 +570,7 @@ def _describe(config, state, now, choice, arm_problem, cause):
 
 
 def _describe_hold(state, report, hold):
-    """Says why the slider stays lowest."""
+    """Says why the slider stays at its lowest."""
     if (
         report.safety_mode == SafetyMode.PROTECTIVE_STOP
         and report.timestamp - state.left_zero < _OFFENCE

@@ -69,7 +69,7 @@ class OcclusionMaskConfig:
     # leave that open. 0: only at the sample's own time.
     time_margin: float = 0.004
 
-    # Below this distance a sensor detects but can not measure, m: such a
+    # Below this distance a sensor detects but cannot measure, m: such a
     # target is as near as possible.
     min_range: float = 0.040
 
