@@ -17,11 +17,7 @@ class TestBallTree(unittest.TestCase):
         self.n = 300
         self.frames = np.repeat([0, 1, 2], [240, 55, 5])
         self.centres = rng.normal(size=(self.n, 3))
-<<<<<<< HEAD
         # Many in one place cannot be split by position.
-=======
-        # Many in one place cannot be parted by where they are.
->>>>>>> h4
         self.centres[100:130] = self.centres[99]
         self.radii = rng.uniform(0.01, 0.3, self.n)
         self.radii[[3, 297]] = np.inf

@@ -448,11 +448,7 @@ class TestBadInput:
             assert run_in_process(*SMALL, "--out", out, report=True) == 2
             (line,) = capfd.readouterr().err.splitlines()
             assert line.startswith("tofssm: --out: cannot write into")
-<<<<<<< HEAD
             assert f"{path} is not a folder" in line
-=======
-            assert f"{path} is no folder" in line
->>>>>>> h4
         assert list_tree(tmp_path) == before
 
     @pytest.mark.parametrize(
