@@ -1,10 +1,10 @@
-"""What a user got wrong, told in one line."""
+"""Errors of the user, reported in one line."""
 
 import math
 
 
 class UserError(ValueError):
-    """A mistake in what the user gave: a setting, a file, a name.
+    """A mistake in the user's input: a setting, a file, a name.
 
     The message is one line: what is wrong, where, and what would be right.
     The command line prints it without a traceback and exits with code 2.
@@ -18,9 +18,9 @@ def require(condition: bool, message: str) -> None:
 
 
 def require_period(period: float) -> None:
-    """Raises UserError unless a control tick lasts for some time, s.
+    """Raises UserError unless a control tick is longer than 0 s.
 
-    Drake itself takes any number for the period of an event.
+    Drake itself accepts any number as the period of an event.
     """
     require(
         math.isfinite(period) and period > 0.0,

@@ -1,9 +1,9 @@
-"""Numba's `njit`, with a cache that knows which kernel calls which.
+"""Numba's `njit`, with a cache that notices changed callees.
 
-Numba compiles a kernel's callees into it, but takes its compiled form from
-the cache until the kernel's own file changes. Here the cache has a folder for
-each state of the files with kernels: if any of them changes, all kernels are
-compiled anew.
+Numba compiles a kernel's callees into it, but takes the compiled kernel from
+the cache until its own file changes. Here the cache has a folder for each
+state of the files with kernels: if any of them changes, all kernels are
+recompiled.
 """
 
 import functools
@@ -23,14 +23,14 @@ def njit(**options):
 
     Args:
         options: Numba's; with `cache=True` the compiled kernel is kept for
-            later processes, as long as no file with a kernel changes.
+            later processes, until a file with a kernel changes.
     """
 
     def decorate(function):
         if not options.get("cache") or numba.config.DISABLE_JIT:
             return numba.njit(**options)(function)
-        # Numba takes this setting when a kernel is declared. Kernels of other
-        # packages keep what it was.
+        # Numba reads this setting when a kernel is declared. Kernels of other
+        # packages keep the old value.
         before = numba.config.CACHE_DIR
         numba.config.CACHE_DIR = str(find_cache_folder(_PACKAGE))
         try:
@@ -43,11 +43,11 @@ def njit(**options):
 
 @functools.cache
 def find_cache_folder(package: Path) -> Path:
-    """Returns where the kernels of a package are kept in their present state.
+    """Returns the cache folder for the present state of a package's kernels.
 
-    Within NUMBA_CACHE_DIR if that is set, else in the package's `__pycache__`
-    if that can be written, else in the user's cache. In `__pycache__` older
-    states are removed: nobody else uses it.
+    It is in NUMBA_CACHE_DIR if that is set, else in the package's `__pycache__`
+    if that is writable, else in the user's cache. In `__pycache__`, which is
+    used by nobody else, older states are removed.
     """
     name = _PREFIX + calc_stamp(package)[:16]
     if numba.config.CACHE_DIR:
@@ -65,7 +65,7 @@ def find_cache_folder(package: Path) -> Path:
 def calc_stamp(folder: Path) -> str:
     """Returns a digest of all files in a folder that have kernels.
 
-    The contents count and not their age: an installer may set any.
+    It depends on their contents, not their age, which an installer may set.
     """
     digest = hashlib.sha256()
     for path in sorted(folder.rglob("*.py")):

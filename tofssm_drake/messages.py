@@ -1,11 +1,11 @@
 """Frozen values that travel on the abstract ports.
 
-A message is never changed after it was made: its arrays are read-only and a
-copy of it is the message itself, so that Drake's caches, logs and cloned
-Contexts cost nothing and cannot disagree.
+A message never changes: its arrays are read-only and a copy of it is the
+message itself, so that Drake's caches, logs and cloned Contexts cost nothing
+and cannot disagree.
 
-`n` stands for the number of sensors of a ring, `m` for the number of links
-that are watched (three for rings: RINGS).
+`n` is the number of sensors of a ring, `m` the number of watched links (three
+for rings: RINGS).
 """
 
 import dataclasses as dc
@@ -28,15 +28,15 @@ class Reading(enum.IntEnum):
     """What one sensor's sample means to the monitor; never a number alone."""
 
     CLEAR = 0
-    """No return: nothing within range."""
+    """No return: nothing is within range."""
     VALID = 1
     """A distance to something that is not the robot or its cell."""
     MASKED = 2
-    """The robot or its restricted workspace was seen: sensor dropped."""
+    """The robot or its restricted workspace is seen: ignored."""
     FAULTED = 3
     """Broken, stale or implausible: not clear."""
     HELD = 4
-    """No distance now, but one before: it counts on, and closes in."""
+    """No distance now: the last one still counts, and shrinks."""
 
 
 class SensorFault(enum.IntEnum):
@@ -44,7 +44,7 @@ class SensorFault(enum.IntEnum):
 
     NONE = 0
     BUS = 1
-    """It did not answer on its bus."""
+    """The sensor does not answer on its bus."""
     NO_DATA = 2
     """No new measurement for too long."""
     LATE = 3
@@ -54,19 +54,19 @@ class SensorFault(enum.IntEnum):
     SIGMA = 5
     """Something is there, but its distance cannot be measured."""
     HARDWARE = 6
-    """It reports a failure of its own, or an unknown status."""
+    """It reports a failure or an unknown status."""
     FROZEN = 7
-    """It repeats one distance to the last bit."""
+    """It repeats one distance bit for bit."""
     SELF_TEST = 8
     """The device sends made-up numbers."""
     CONTESTED = 9
     """Two devices send frames of this ring."""
     LINK = 10
-    """The ring's link is out of its limits, see `RingScan.problem`."""
+    """The ring's link exceeds its limits, see `RingScan.problem`."""
     UNSEEN_SELF_HIT = 11
     """It does not see the robot where it must."""
     DEAD = 12
-    """Declared dead in the scenario: dropped, the robot is slow."""
+    """Declared dead in the scenario: ignored, the robot is slow."""
     RIDING_HIT = 13
     """Something that is not the robot moves with it: tape, a cable, a hand."""
 
@@ -87,7 +87,7 @@ FAULT_NAMES = {
     SensorFault.DEAD: "declared dead",
     SensorFault.RIDING_HIT: "riding hit",
 }
-"""What lines and reports call the faults."""
+"""Names of the faults in messages and reports."""
 
 
 class RingHealth(enum.IntEnum):
@@ -95,9 +95,9 @@ class RingHealth(enum.IntEnum):
 
     HEALTHY = 0
     BLIND = 1
-    """Every working sensor is masked: nothing is known, reduce."""
+    """Every working sensor is masked, so nothing is known: reduce."""
     FAULTED = 2
-    """A sensor faulted for too long, many at once, or never any scan: stop."""
+    """A sensor faulted for too long, many at once, or no scan yet: stop."""
     DEGRADED = 3
     """A sensor is declared dead: reduce."""
 
@@ -115,10 +115,10 @@ class _Frozen:
 
     @classmethod
     def of_read_only(cls, **fields):
-        """Makes a message of all of its fields, whose arrays are read-only.
+        """Makes a message from all its fields, whose arrays are read-only.
 
-        The same as the constructor, but does not look at each of them. For
-        views of one array that was made read-only.
+        Like the constructor, but without looking at each of them; for
+        views of an array that was made read-only.
         """
         message = object.__new__(cls)
         vars(message).update(fields)
@@ -130,7 +130,7 @@ class RingScan(_Frozen):
     """What a ring of sensors delivers, simulated or real."""
 
     sequence: int = -1
-    """Counts scans from 0; -1 means that there was none yet."""
+    """Counts scans from 0; -1: none yet."""
     time: float = -np.inf
     """When the scan was delivered, s."""
     sensor_time: np.ndarray = dc.field(default_factory=lambda: np.empty(0))
@@ -143,16 +143,16 @@ class RingScan(_Frozen):
     """Range status (ST API numbers; 253 bus failure, 254 no new data; the
     host's own 240 frozen, 241 self-test, 242 contested)."""
     problem: str = ""
-    """Why none of this ring's samples may be used, with the figures, e.g.
+    """Why none of this ring's samples may be used, with figures, e.g.
     "period 37 ms, configured 24 ms"; empty: nothing is wrong."""
 
 
 @dc.dataclass(frozen=True, eq=False, kw_only=True)
 class LidarScan(_Frozen):
-    """What a planar lidar delivers, simulated or real; n is its rays."""
+    """What a planar lidar of n rays delivers, simulated or real."""
 
     sequence: int = -1
-    """Counts scans from 0; -1 means that there was none yet."""
+    """Counts scans from 0; -1: none yet."""
     time: float = -np.inf
     """When the rays were measured (middle of the turn), s."""
     angles: np.ndarray = dc.field(default_factory=lambda: np.empty(0))
@@ -163,7 +163,7 @@ class LidarScan(_Frozen):
 
 @dc.dataclass(frozen=True, eq=False, kw_only=True)
 class MaskedScan(_Frozen):
-    """A scan with what each reading means and where the robot was then."""
+    """A scan with the meaning of each reading and the robot's motion then."""
 
     scan: RingScan = dc.field(default_factory=RingScan)
     """As the monitor uses it."""
@@ -178,25 +178,25 @@ class MaskedScan(_Frozen):
     )
     """`SensorFault` of each sensor, shape (n,)."""
     healthy_time: np.ndarray = dc.field(default_factory=lambda: np.empty(0))
-    """When each sensor's last sample without a fault was taken, s, (n,);
-    -inf: there was none."""
+    """Time of each sensor's last sample without a fault, s, (n,); -inf:
+    none yet."""
     no_returns: np.ndarray = dc.field(
         default_factory=lambda: np.empty(0, dtype=np.int64)
     )
-    """Samples in a row in which nothing came back, (n,)."""
+    """Number of samples in a row without a return, (n,)."""
     unmeasured: np.ndarray = dc.field(
         default_factory=lambda: np.empty(0, dtype=np.int64)
     )
-    """Samples in a row with a target but no distance, (n,)."""
+    """Number of samples in a row with a target but no distance, (n,)."""
     self_nearest: np.ndarray = dc.field(default_factory=lambda: np.empty(0))
     """Nearest hit of each sensor's rays on the twin, m, (n,); inf: none, or
-    not looked for, since the sample is no distance."""
+    not computed, since the sample has no distance."""
     self_farthest: np.ndarray = dc.field(default_factory=lambda: np.empty(0))
     """Farthest such hit, m, (n,); -inf where the nearest is inf."""
     previous_distance: np.ndarray = dc.field(
         default_factory=lambda: np.empty(0)
     )
-    """The same sensor's sample before this one, m, (n,); NaN: not VALID."""
+    """The same sensor's previous sample, m, (n,); NaN: not VALID."""
     previous_time: np.ndarray = dc.field(default_factory=lambda: np.empty(0))
     """When that was, s, (n,)."""
     position: np.ndarray = dc.field(default_factory=lambda: np.empty((0, 6)))
@@ -207,16 +207,16 @@ class MaskedScan(_Frozen):
 
 @dc.dataclass(frozen=True, eq=False, kw_only=True)
 class Separation(_Frozen):
-    """How near the person is to each watched link, and how fast it shrinks.
+    """Distance of the person from each watched link, and how fast it shrinks.
 
-    One and the same message for every sensing (rings, ideal, lidar), so that
-    the safety law does not know which one it works on.
+    The same message for every sensing (rings, ideal, lidar), so that the safety
+    law need not know which one is used.
     """
 
     name: tuple[str, ...] = RINGS
     """The m watched links."""
     sequence: np.ndarray
-    """Number of each link's sample, (m,); changes with each new one."""
+    """Number of each link's sample, (m,); changes with each new sample."""
     time: np.ndarray
     """When the deciding sensor measured, s, (m,); -inf: never."""
     distance: np.ndarray
@@ -234,10 +234,10 @@ class Separation(_Frozen):
     health: np.ndarray
     """`RingHealth` of each link's sensing, (m,)."""
     count: np.ndarray
-    """Sensors that are clear, valid (or held), masked, faulted, (m, 4)."""
+    """Numbers of clear, valid (or held), masked and faulted sensors, (m, 4)."""
     problem: tuple[str, ...] = ()
     """What is wrong with each link's sensing, e.g. "sensor 3: bus", (m,);
-    empty: nothing is, or nobody can tell."""
+    empty: nothing, or unknown."""
 
 
 @dc.dataclass(frozen=True, eq=False, kw_only=True)
@@ -268,10 +268,10 @@ class SafetyIndex(_Frozen):
 
 @dc.dataclass(frozen=True, eq=False, kw_only=True)
 class RobotReport(_Frozen):
-    """What a real robot tells about itself in one package.
+    """What a real robot reports about itself in one package.
 
-    All of it is of one control cycle. A number that the robot does not send
-    is NaN, or -1 where it is an integer.
+    All values belong to one control cycle. A number that the robot does not
+    send is NaN, or -1 for an integer.
     """
 
     sequence: int = -1
@@ -280,11 +280,11 @@ class RobotReport(_Frozen):
     """Counts connections from 0, and restarts of the robot's clock; within
     one of them `timestamp` only grows."""
     missed: int = 0
-    """Packages that never came, so far, by the robot's clock."""
+    """Number of packages missed so far, by the robot's clock."""
     time: float = -np.inf
     """When the package arrived, s on the host's monotonic clock."""
     timestamp: float = -np.inf
-    """When the robot made it, s on the robot's own clock."""
+    """When it was made, s on the robot's own clock."""
     position: np.ndarray = dc.field(default_factory=lambda: np.full(6, np.nan))
     """Measured joints q, rad, (6,)."""
     velocity: np.ndarray = dc.field(default_factory=lambda: np.full(6, np.nan))
@@ -308,7 +308,7 @@ class RobotReport(_Frozen):
     digital_outputs: int = -1
     """The same for outputs."""
     robot_mode: int = -1
-    """7 is running; nothing else lets it move."""
+    """7 is running; in no other mode can it move."""
     safety_mode: int = -1
     """1 normal, 2 reduced; anything else is a stop or a fault."""
     safety_status: int = -1
@@ -336,9 +336,9 @@ class SliderCommand(_Frozen):
     mask: int = 0
     """1 sets the slider, 0 leaves it alone."""
     speed_fraction: float = 0.0
-    """Where the slider shall go, 0 to 1; counts only with mask 1."""
+    """Where to set the slider, 0 to 1; used only with mask 1."""
     heartbeat: int = 0
-    """Changes with each package as long as all is well."""
+    """Changes with each package unless there is a fault."""
 
 
 @dc.dataclass(frozen=True, eq=False, kw_only=True)
@@ -351,7 +351,7 @@ class SelfHitHealth(_Frozen):
     """`SensorFault` of each sensor, (m, n): NONE, UNSEEN_SELF_HIT or
     RIDING_HIT."""
     problem: tuple[str, ...]
-    """Of each ring, what is wrong with it in one line; empty: nothing."""
+    """What is wrong with each ring, in one line; empty: nothing."""
 
 
 def make_empty_separation(name: tuple[str, ...] = RINGS) -> Separation:
@@ -392,7 +392,7 @@ def make_empty_safety_index(name: tuple[str, ...] = RINGS) -> SafetyIndex:
 def make_empty_self_hit_health(
     name: tuple[str, ...] = RINGS, sensors: int = 0
 ) -> SelfHitHealth:
-    """Returns the health of rings of which nothing bad is known."""
+    """Returns the health of rings with no known problem."""
     return SelfHitHealth(
         name=name,
         fault=np.full((len(name), sensors), SensorFault.NONE, dtype=np.uint8),

@@ -61,17 +61,17 @@ class TestParse(unittest.TestCase):
 
     def test_tells_mistakes(self):
         for text, message in (
-            ("", "no fault"),
-            ("silent", "no fault"),
-            ("silent:elbow", "no fault"),
-            ("silent:elbow@", "no fault"),
-            ("silent:elbow@-1", "no fault"),
-            ("silent:elbow@nan", "no fault"),
+            ("", "not a fault"),
+            ("silent", "not a fault"),
+            ("silent:elbow", "not a fault"),
+            ("silent:elbow@", "not a fault"),
+            ("silent:elbow@-1", "not a fault"),
+            ("silent:elbow@nan", "not a fault"),
             ("loud:elbow@1", "'loud' is unknown"),
             ("status99:elbow@1", "'status99' is unknown"),
             ("silent:wrist@1", "no ring 'wrist'"),
             ("silent:elbow@5-5", "ends before"),
-            ("bus:elbow.@1", "no fault"),
+            ("bus:elbow.@1", "not a fault"),
             ("bus:elbow.8@1", "no sensor 8, use 0 to 7"),
             ("silent:elbow.1@1", "'silent' concerns a whole ring"),
         ):

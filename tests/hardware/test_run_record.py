@@ -332,7 +332,7 @@ class TestRunRecord(unittest.TestCase):
         with self.assertRaisesRegex(UserError, "cannot read"):
             mut.RunReader(self.path)
         self.path.write_bytes(b"something else")
-        with self.assertRaisesRegex(UserError, "no MCAP file"):
+        with self.assertRaisesRegex(UserError, "not an MCAP file"):
             mut.RunReader(self.path)
         with self.assertRaisesRegex(UserError, "cannot write"):
             mut.RunRecorder(self.path.parent / "none" / "x.mcap", {})

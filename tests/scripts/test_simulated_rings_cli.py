@@ -94,7 +94,10 @@ class TestSimulatedRings(unittest.TestCase):
     [
         ([], "give either --to"),
         (["--pty", "--to", "udp://127.0.0.1:5005"], "give either --to"),
-        (["--to", "127.0.0.1:5005"], "--to: '127.0.0.1:5005' is not an address"),
+        (
+            ["--to", "127.0.0.1:5005"],
+            "--to: '127.0.0.1:5005' is not an address",
+        ),
         (["--to", "udp://0.0.0.0:5005"], "every interface"),
         (["--to", "serial:///dev/ttyS0"], "use --pty"),
         (["--pty", "--fault", "silent:wrist@1"], "no ring 'wrist'"),

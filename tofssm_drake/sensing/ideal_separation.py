@@ -39,7 +39,7 @@ _FAULTED = int(Reading.FAULTED)
 _HEALTHY = int(RingHealth.HEALTHY)
 _RING_FAULTED = int(RingHealth.FAULTED)
 
-# A sample that is due at this very tick is due, whatever the rounding.
+# Tolerance for rounding: a sample that is due at a tick is taken at it, s.
 _SLACK = 1e-9
 
 
@@ -51,9 +51,9 @@ class IdealSeparationConfig:
     # control tick is best.
     period: float = 0.008
 
-    # From the sample to the separation that follows from it, s, rounded up to
-    # whole periods: capturing, and computing the distance between the meshes.
-    # The paper gives no number; 0 is the best that there could be.
+    # From the sample to its separation, s, rounded up to whole periods:
+    # capture and computing the distance between the meshes. The paper gives
+    # no number; 0 is the best case.
     latency: float = 0.0
 
     # Speed of a person whose motion is not known yet, m/s (ISO/TS 15066).
@@ -68,7 +68,7 @@ class IdealSeparationConfig:
 
 @njit(cache=True)
 def find_nearest_on_person(p_WL, ends, velocities, radii):
-    """Finds the point of a person of capsules that is nearest to a point.
+    """Finds the point nearest to a given one on a person of capsules.
 
     Args:
         p_WL: The point in world, m, (3,).
@@ -81,8 +81,8 @@ def find_nearest_on_person(p_WL, ends, velocities, radii):
         without capsules. The unit vector towards it, (3,), NaN where there
         is none. The velocity of the nearest point of the capsule's axis, m/s,
         (3,): (v_WL - v) . n is exactly the speed at which the distance
-        shrinks, since turning about its own axis does not move a capsule's
-        surface.
+        shrinks, since turning about its own axis does not move the
+        surface of a capsule.
     """
     nearest = np.inf
     n = np.full(3, np.nan)
@@ -115,7 +115,7 @@ def find_nearest_on_person(p_WL, ends, velocities, radii):
 def _calc_links(
     p_WL, v_WL, ends, velocities, radii, k_max, V_hmax, reals, whole
 ):
-    """Writes all of a separation but when it was, see `make_columns`."""
+    """Writes all of a separation except its time, see `make_columns`."""
     m = p_WL.shape[0]
     direction = reals[K_O + 1 :].reshape(m, 3)
     count = whole[HEALTH + 1 :].reshape(m, 4)
@@ -134,7 +134,7 @@ def _calc_links(
             v_h -= v[k] * n[k]
         speed = math.sqrt(speed2)
         if np.isnan(k_l):
-            # Nobody there, or the link's centre on a bone: any direction.
+            # Nobody is there, or the link's centre is on a bone: any direction.
             k_l = speed
             v_h = V_hmax
         elif np.isnan(v_h):
@@ -167,7 +167,7 @@ def calc_ideal_separation(
     time: float = 0.0,
     name: tuple[str, ...] = RINGS,
 ) -> Separation:
-    """Calculates the separation from where person and robot truly are.
+    """Calculates the separation from the true positions of person and robot.
 
     The distance is that from each link's centre to the person's surface, the
     directed speeds those of the paper's Eqs. 4a and 4b: k_l = V_l . P^ and
@@ -184,7 +184,7 @@ def calc_ideal_separation(
         k_max: k_l and k_o are saturated to +-k_max, m/s.
         V_hmax: See above, m/s.
         sequence: Number of the sample.
-        time: When it was taken, s.
+        time: Of the sample, s.
         name: The m links.
     """
     reals, whole = make_columns(len(name))
@@ -198,7 +198,7 @@ def calc_ideal_separation(
 
 @dc.dataclass(frozen=True, eq=False, kw_only=True)
 class _Capture:
-    """The last sample, and the separations that are under way."""
+    """The last sample, and the separations not yet delivered."""
 
     sequence: int = -1
     time: float = -math.inf
@@ -210,7 +210,7 @@ class _Capture:
 
 
 class IdealSeparation(LeafSystem):
-    """Calculates the separation from the true person, without any sensor.
+    """Calculates the separation from the true person, without a sensor.
 
     .. pydrake_system::
 
@@ -225,9 +225,9 @@ class IdealSeparation(LeafSystem):
     It stands for motion capture (the paper's *Ideal* sensing). `skeleton` is
     the avatar's: both ends of each of c capsules, m, in world, 6 c numbers.
     Once a period it samples person and robot; see calc_ideal_separation().
-    The person's velocity is the difference to the sample before over the
-    time between, as a motion capture system would have it. The separation
-    appears at the port `latency` later with the sample's own time.
+    The person's velocity is the difference quotient of two samples, as in a
+    motion capture system. The separation appears at the port `latency` later,
+    with the sample's own time.
     """
 
     def __init__(
@@ -300,7 +300,7 @@ class IdealSeparation(LeafSystem):
         """Returns where the person is now, and the separation."""
         ends = np.empty((len(self._radii), 2, 3))
         if len(ends):
-            # A copy: what Eval returned changes with the time.
+            # A copy, since the evaluated value changes later.
             ends[:] = self._skeleton.Eval(context).reshape(ends.shape)
         if before.ends is None or time <= before.time:
             velocities = np.full(ends.shape, np.nan)

@@ -16,8 +16,8 @@ from tofssm_drake.geometry.ray_caster import RayBundles, RayCaster
 from tofssm_drake.messages import LidarScan
 from tofssm_drake.sensing.vl53l1x import check_range
 
-# A scan at the time of a plant step shows the world before the step: it is
-# taken a little earlier, or rounding would decide which of the two it shows.
+# A scan at the time of a plant step shows the world before the step. It is
+# taken slightly earlier, or rounding would decide which of the two it shows.
 _EARLY = 1e-9
 
 
@@ -25,13 +25,13 @@ _EARLY = 1e-9
 class Lidar2dConfig:
     """Where a planar lidar looks and how well it measures."""
 
-    # The scanned plane is so far above the origin of the frame that carries
+    # Height of the scanned plane above the origin of the frame that carries
     # the lidar, m (*assumed*: the shins of a person).
     height: float = 0.3
 
     # First and last direction in the plane, deg; 0 is the x axis of the
-    # scanner's frame, positive is counter-clockwise seen from above. A whole
-    # turn does not look twice along its seam.
+    # scanner's frame, positive is counter-clockwise seen from above. In a full
+    # turn the last direction is left out, as it is the first.
     angle_min_deg: float = -180.0
     angle_max_deg: float = 180.0
 
@@ -44,7 +44,7 @@ class Lidar2dConfig:
     # From one scan to the next, s: 1 / rate (*assumed*; five ticks of 8 ms).
     period: float = 0.040
 
-    # From a scan's time, the middle of the turn, to when it is delivered, s
+    # From a scan's time, the middle of the turn, to its delivery, s
     # (*assumed*: half a turn); less than the period.
     latency: float = 0.020
 
@@ -73,7 +73,7 @@ class Lidar2dConfig:
             f"{where}.angle_min_deg: {self.angle_min_deg} is greater than"
             f" angle_max_deg {self.angle_max_deg}; use the smaller one first",
         )
-        # Equal times would leave it to chance which scan is delivered.
+        # With equal times it would be undefined which scan is delivered.
         require(
             self.latency <= self.period - 1e-6,
             f"{where}.latency: {self.latency} is out of range; use 0 to less"
@@ -168,8 +168,8 @@ class Lidar2d(LeafSystem):
     `LidarScan` appears on the port a latency later; before the first one the
     port holds an empty scan (sequence -1).
 
-    The port `noise` takes n standard normal numbers, which have to change at
-    least once a period. It may be left unconnected if `noise_sigma` is 0.
+    The port `noise` takes n standard normal numbers, which must change at least
+    once a period. It may be left unconnected if `noise_sigma` is 0.
     """
 
     def __init__(
@@ -188,7 +188,7 @@ class Lidar2d(LeafSystem):
 
         Raises:
             UserError: if a setting is out of range.
-            ValueError: if the rays are not those of one such lidar.
+            ValueError: if the rays are not those of such a lidar.
         """
         super().__init__()
         config.check("lidar")
@@ -237,13 +237,13 @@ class Lidar2d(LeafSystem):
         return self._angles
 
     def _capture(self, context: Context, state: State):
-        """Takes a scan, which is under way from now on."""
+        """Takes a scan, to be delivered later."""
         pending = state.get_mutable_abstract_state(self._pending)
         sequence = pending.get_value().sequence + 1
         pending.set_value(self._measure(context, sequence))
 
     def _deliver(self, context: Context, state: State):
-        """Moves the scan under way to the port."""
+        """Moves the pending scan to the port."""
         pending = state.get_mutable_abstract_state(self._pending).get_value()
         state.get_mutable_abstract_state(self._scan).set_value(pending)
         return EventStatus.Succeeded()

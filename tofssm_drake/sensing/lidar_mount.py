@@ -1,4 +1,4 @@
-"""Where the lidar stands: under the robot's base, in the axes of the world."""
+"""Where the lidar is: under the robot's base, with the axes of the world."""
 
 from collections.abc import Sequence
 import dataclasses as dc
@@ -16,7 +16,7 @@ from tofssm_drake.sensing.lidar_2d import Lidar2dConfig, make_lidar_bundle
 from tofssm_drake.sensing.lidar_separation import LIDAR
 
 _HOUSING = ("pedestal",)
-"""Models that carry the lidar: it sits around them and does not see them."""
+"""Models that the lidar surrounds: it does not see them."""
 
 
 def calc_lidar_pose(
@@ -77,22 +77,22 @@ def scan_background(
     twin: TwinPoses,
     q: np.ndarray,
 ) -> np.ndarray:
-    """Returns the exact ranges that the empty cell gives, m, (n,).
+    """Returns the exact ranges in the empty cell, m, (n,).
 
     Args:
         caster: of the twin's SceneGraph, in which there are no people.
         bundle: the lidar's rays.
         twin: poses the caster's frames.
-        q: joints at which the robot stands meanwhile, rad, (6,).
+        q: joints of the robot during the scan, rad, (6,).
 
     Raises:
-        UserError: if the lidar is inside of something.
+        UserError: if the lidar is inside something.
     """
     distance, _ = caster.cast_bundles(bundle, twin.calc(q, 0.0, 0.0))
     require(
         bool((distance[0] > 0.0).all()),
-        "lidar.height: the lidar is inside of the robot or of something in "
-        "its cell; use a height at which it has a free view, such as 0.3",
+        "lidar.height: the lidar is inside the robot or something in its "
+        "cell; use a height at which it has a free view, such as 0.3",
     )
     return distance[0]
 
@@ -100,9 +100,9 @@ def scan_background(
 def make_lidar_kinematics(
     config: Lidar2dConfig, kinematics: RingKinematics
 ) -> RingKinematics:
-    """Returns kinematics whose one link stands still where the lidar is.
+    """Returns kinematics with one link, fixed where the lidar is.
 
-    So the truth of that link is the distance from the lidar to the person.
+    So the true distance of that link is from the lidar to the person.
 
     Args:
         config: of the lidar.

@@ -1,10 +1,10 @@
 """Separation from a planar lidar at the robot's base.
 
-It sees what a person has at the height of its plane: legs, or the lower
-torso. Two things follow from where it stands. The distance is that from the
-base's axis, so either the law's distances grow by the radius of the robot's
-workspace or the radius is taken off the distance. And the lidar does not move
-with the robot: what it measures of a speed is the person's alone.
+It sees a person at the height of its plane: legs, or the lower torso. Two
+things follow from its place. The distance is from the base's axis, so either
+the law's distances grow by the radius of the robot's workspace or the radius
+is subtracted from the distance. And the lidar does not move with the robot: a
+measured speed is the person's alone.
 """
 
 import dataclasses as dc
@@ -39,7 +39,7 @@ _MASKED = int(Reading.MASKED)
 _FAULTED = int(Reading.FAULTED)
 
 LIDAR = ("lidar",)
-"""Name of the one link that a lidar watches: the whole robot."""
+"""Name of a lidar's only link: the whole robot."""
 
 DISTANCE_RULES = ("raw", "subtracted", "literal")
 
@@ -48,7 +48,7 @@ DISTANCE_RULES = ("raw", "subtracted", "literal")
 class LidarSeparationConfig:
     """How a distance and directed speeds follow from a lidar's scans."""
 
-    # How the workspace radius r_o enters. "raw": the distance from the base's
+    # How the workspace radius r_o is used. "raw": the distance from the base's
     # axis as it is; r_o is added to the law's C_dC and to its fixed distances
     # (1.12 m, 1.32 m and 1.92 m by default). "subtracted": max(d - r_o, 0),
     # with the law's distances as they are. "literal": the paper's Eq. 11,
@@ -59,25 +59,24 @@ class LidarSeparationConfig:
     # Radius r_o of the robot's workspace about the base's axis, m (paper).
     workspace_radius: float = 0.82
 
-    # A return so far before the taught background, m, is of something that
-    # came in; one so far behind it, or none at all, means that the background
-    # is gone (*assumed*: five standard deviations of the lidar's noise).
+    # A return this far before the taught background, m, is from something new;
+    # one this far behind it, or none at all, means that the background is gone
+    # (*assumed*: five standard deviations of the lidar's noise).
     background_margin: float = 0.05
 
-    # From one scan to the next the same person is looked for so far to the
-    # side, m (*assumed*: either leg of a stride). A speed is the difference
-    # of two such distances.
+    # From scan to scan the same person is looked for this far to the side, m
+    # (*assumed*: either leg of a stride). A speed is the difference quotient of
+    # two such distances.
     track_width: float = 0.4
 
-    # Scans that lie farther apart than this say nothing about a speed, s
-    # (*assumed*: two periods and a bit).
+    # Scans farther apart than this give no speed, s (*assumed*: slightly more
+    # than two periods).
     max_gap: float = 0.1
 
     # Speed of a person whose motion is not known yet, m/s (ISO/TS 15066).
     V_hmax: float = 1.6
 
-    # Of all rays so many may be faulted at a time, else the robot stops
-    # (*assumed*).
+    # With more faulted rays than this at a time the robot stops (*assumed*).
     max_faulted_share: float = 0.05
 
     def check(self, where: str) -> None:
@@ -99,12 +98,12 @@ class LidarSeparationConfig:
 
     @property
     def threshold_offset(self) -> float:
-        """What the law's distances grow by, m."""
+        """Amount added to the law's distances, m."""
         return self.workspace_radius if self.distance_rule == "raw" else 0.0
 
 
 def calc_lidar_distance(config: LidarSeparationConfig, d):
-    """Returns ||D|| that the law compares, m.
+    """Returns the distance ||D|| that the law uses, m.
 
     Args:
         config: rule and workspace radius.
@@ -121,12 +120,12 @@ def calc_lidar_distance(config: LidarSeparationConfig, d):
 def classify_rays(
     *, ranges: np.ndarray, background: np.ndarray, margin: float
 ) -> np.ndarray:
-    """Tells what each ray's range means beside the taught background.
+    """Classifies each ray's range against the taught background.
 
     VALID before the background or where there is none; MASKED at the
     background; CLEAR without return where none was taught. FAULTED where the
-    background is gone (it was moved, or hides behind something that reflects
-    nothing) and for what is no range.
+    background is gone (moved, or hidden by something that reflects nothing) and
+    for impossible ranges.
 
     Args:
         ranges: m, (n,); inf: no return.
@@ -197,7 +196,7 @@ def find_nearest_around(angles, ranges, reading, angle, distance, width):
 
 @dc.dataclass(frozen=True, eq=False, kw_only=True)
 class _Classified:
-    """A scan with what its rays mean, to compare the next one with."""
+    """A scan with its readings, to compare the next one with."""
 
     scan: LidarScan = dc.field(default_factory=LidarScan)
     reading: np.ndarray = dc.field(
@@ -209,14 +208,14 @@ class _Classified:
 
 
 def calc_lidar_health(count: np.ndarray, max_faulted: int) -> RingHealth:
-    """Tells whether a lidar's scan can be trusted.
+    """Judges whether a lidar's scan can be trusted.
 
-    FAULTED when more rays are faulted than allowed, or there are none; BLIND
-    when every ray that works is masked.
+    FAULTED if more rays are faulted than allowed, or there are none; BLIND if
+    every working ray is masked.
 
     Args:
-        count: Rays that are clear, valid, masked, faulted, (4,).
-        max_faulted: How many may be faulted at a time.
+        count: Numbers of clear, valid, masked and faulted rays, (4,).
+        max_faulted: Number that may be faulted at a time.
     """
     working = count[_CLEAR] + count[_VALID] + count[_MASKED]
     if count[_FAULTED] > max_faulted or working == 0:
@@ -237,10 +236,10 @@ def calc_lidar_separation(
     """Calculates the separation of the robot from a lidar's scan.
 
     The nearest VALID ray decides. P^ is its direction: the lidar's axes are
-    those of the world. Of the robot the tool counts (it is what reaches as
-    far as r_o): k_l = V_tool . P^. The lidar stands still, so the person's own
+    those of the world. The robot's speed is the tool's (which reaches as far as
+    r_o): k_l = V_tool . P^. The lidar stands still, so the person's own
     speed towards it is the change of the raw distance from scan to scan, and
-    k_o = k_l - (d(t) - d(t - dt)) / dt. Where the scan before shows nothing
+    k_o = k_l - (d(t) - d(t - dt)) / dt. If the previous scan shows nothing
     within `track_width`, k_o = k_l + V_hmax. Without any VALID ray the
     distance is inf, k_l = ||V_tool|| and k_o = ||V_tool|| + V_hmax.
 
@@ -248,8 +247,8 @@ def calc_lidar_separation(
         config: settings.
         scan: at least one.
         reading: of its rays, see classify_rays(), (n,).
-        previous: the scan before; None: there was none.
-        previous_reading: of that.
+        previous: the previous scan; None: there was none.
+        previous_reading: its readings.
         v_WT: velocity of the tool, m/s, (3,).
         k_max: k_l and k_o are saturated to +-k_max, m/s.
     """
@@ -295,12 +294,12 @@ def calc_lidar_separation(
 
 
 class ToolKinematics(Protocol):
-    """What LidarSeparation needs to know of the robot."""
+    """What LidarSeparation needs to know about the robot."""
 
     def calc_sites(
         self, q: np.ndarray, qd: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Returns X_WS and v_WS (s, 3) of sites, the last one the tool."""
+        """Returns X_WS and v_WS (s, 3) of sites; the last one is the tool."""
 
 
 class LidarSeparation(LeafSystem):
@@ -320,11 +319,10 @@ class LidarSeparation(LeafSystem):
     tick. The tool's velocity is the one that the robot reports at that tick,
     which is newer than the scan.
 
-    What the cell itself shows is taught once, as with a real scanner: the
-    `background` is a scan of the empty cell. That serves as long as nothing
-    but people moves in the lidar's plane, so the plane must be below what the
-    robot reaches. Behind the background (a table's leg) the lidar sees
-    nobody.
+    The cell itself is taught once, as with a real scanner: the `background` is
+    a scan of the empty cell. That is valid as long as only people move in the
+    lidar's plane, so the plane must be below the reach of the robot. Behind the
+    background (a table's leg) the lidar sees nobody.
     """
 
     def __init__(

@@ -1,18 +1,18 @@
-"""What a sensor saw before: no failure may make an obstacle disappear.
+"""What a sensor saw before: a failure must not make an obstacle disappear.
 
 A sensor that saw something and then fails keeps its last distance. The
-reading is HELD: the distance counts on, as of the time when it was measured,
-and whoever uses it lets it close in. It ends with the next good sample.
+reading is HELD until the next good sample: the distance still counts, as of
+the time when it was measured, and is assumed to shrink since then.
 
-"Nothing came back" is what an empty room gives, but also one sample in a few
-hundred of a target that is there, and what a limb gives that turns its dark
-or shiny side for a moment. So a sensor that saw something must see nothing a
-few times in a row before it is clear. A ring that does not see the robot where
-it must is blind itself: its "nothing" confirms nothing.
+An empty room gives no return, but so does one sample in a few hundred of a
+target that is there, and a limb that turns its dark or shiny side for a moment.
+So a sensor that saw something must see nothing a few times in a row before it
+is clear. A ring that does not see the robot where it must is blind: its missing
+returns confirm nothing.
 
-"Something is there, but it cannot be measured" leaves no distance at all. Of
-a sensor that saw nothing before, one such sample is tolerated as a lost one;
-after that it counts as the nearest possible, 0 m.
+A target that cannot be measured gives no distance at all. If the sensor saw
+nothing before, one such sample is tolerated as a lost one; after that the
+target counts as being as near as possible, 0 m.
 """
 
 import dataclasses as dc
@@ -34,18 +34,18 @@ _DEAD = int(SensorFault.DEAD)
 
 @dc.dataclass(kw_only=True)
 class SensorMemoryConfig:
-    """How long a sensor is not taken at its word that nothing is there."""
+    """How long a sensor's report of nothing there is not believed."""
 
-    # So many samples without a return in a row make a sensor clear that saw
-    # something before (*assumed*: 0.4 % of the samples of a target are lost
-    # and look like it; an obstacle is forgotten by chance after one sample in
-    # 55,000 with 2 and in 13 million with 3. Of the default run's speed 2
-    # cost 7 % and 3 cost 14 %, since each limb that leaves a beam stays for
-    # one or two samples more).
+    # A sensor that saw something is clear after this many samples in a row
+    # without a return (*assumed*: 0.4 % of the samples of a target are lost
+    # and look the same; an obstacle is forgotten by chance after one sample
+    # in 55,000 with 2 and in 13 million with 3. 2 costs 7 % of the default
+    # run's speed and 3 costs 14 %, since each limb that leaves a beam stays
+    # for one or two samples more).
     clear_samples: int = 2
 
-    # So many samples in a row that tell of a target without a distance count
-    # as the nearest possible (*assumed*: one is mostly a lost sample).
+    # A target without a distance in this many samples in a row counts as
+    # being as near as possible (*assumed*: one is usually a lost sample).
     sigma_samples: int = 2
 
     def check(self, where: str) -> None:
@@ -71,16 +71,16 @@ def hold_obstacles(
     clear_samples,
     sigma_samples,
 ):
-    """Turns readings into HELD ones where an obstacle must not disappear.
+    """Makes readings HELD where an obstacle must not disappear.
 
     Args:
-        reading: `Reading` of each sensor's sample by itself, (n,); changed.
+        reading: `Reading` of each sensor's sample alone, (n,); changed.
         fault: `SensorFault` of each sensor, (n,).
-        is_new: whether the sample is another one than in the scan before,
+        is_new: whether the sample differs from that in the previous scan,
             (n,).
         is_proven: whether the sensor's ring sees the robot where it must,
-            (n,); else a sample without a return confirms nothing.
-        had_obstacle: whether the reading before was VALID or HELD, (n,).
+            (n,); otherwise a sample without a return confirms nothing.
+        had_obstacle: whether the previous reading was VALID or HELD, (n,).
         no_returns: samples in a row without a return, (n,); changed.
         unmeasured: samples in a row with a target but no distance, (n,);
             changed.
@@ -88,7 +88,7 @@ def hold_obstacles(
         sigma_samples: likewise.
 
     Returns:
-        Where a HELD distance is not the one before but 0 m, as of now, (n,).
+        Where a HELD distance is not the previous one but 0 m, as of now, (n,).
     """
     n = reading.shape[0]
     is_nearest = np.zeros(n, dtype=np.bool_)

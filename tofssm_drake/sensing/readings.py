@@ -1,8 +1,8 @@
 """What a sensor's sample means to the monitor: the reading policy.
 
 ST's manuals (UM2356 for the full driver, UM2510 and UM2931 for the small
-ones) tell what a range status says. Where it can mean two things, the worse
-one is taken:
+ones) define the range statuses. If one can mean two things, the worse is
+taken:
 
 | status            | what ST says of it            | reading                 |
 |-------------------|-------------------------------|-------------------------|
@@ -31,16 +31,16 @@ one is taken:
 | 255, any other    | sample, unknown               |                         |
 | any               | older than the deadline       | fault LATE              |
 
-A fault leaves the reading FAULTED here. What a sensor saw before, and how
-"nothing came back" is confirmed, is up to `tofssm_drake.sensing.memory`.
+A fault makes the reading FAULTED here. `tofssm_drake.sensing.memory` handles
+what a sensor saw before and how a missing return is confirmed.
 
-Statuses 2, 4 and 7 have to be clear, because an empty room gives them all the
+Statuses 2, 4 and 7 must be clear, because an empty room gives them all the
 time. A target that gives one of them within the usable range is darker than
-anything that the sensor is specified for; a person in such clothes is not
+anything that the sensor is specified for; a person in such clothes cannot be
 seen, whatever is done here.
 
-A valid distance below the minimum range is detected but wrong, so it too
-counts as 0 m, the nearest possible.
+A valid distance below the minimum range is detected but wrong, so it also
+counts as 0 m.
 """
 
 import numpy as np
@@ -84,18 +84,18 @@ _BLIND = int(RingHealth.BLIND)
 _RING_FAULTED = int(RingHealth.FAULTED)
 _DEGRADED = int(RingHealth.DEGRADED)
 
-# Something is there, but nobody can tell how far: sigma fail, unchecked for
+# Something is there at an unknown distance: sigma fail, unchecked for
 # wrapping, hidden by cross-talk, merged targets, lack of signal.
 _UNMEASURED = (1, 6, 9, 11, 12)
 
 
 @njit(cache=True)
 def find_fault(status, age, max_age):
-    """Returns the `SensorFault` that status and age of a sample tell.
+    """Returns the `SensorFault` that follows from status and age of a sample.
 
     Args:
         status: range status.
-        age: how long ago the sample was taken, s; NaN is too old.
+        age: of the sample, s; NaN is too old.
         max_age: s.
     """
     if status == STATUS_BUS_FAILURE:
@@ -136,7 +136,7 @@ def classify_readings(
     max_range,
     max_age,
 ):
-    """Tells what each sensor's sample means, by the table of this module.
+    """Classifies each sensor's sample, by the table of this module.
 
     A sample is masked when its distance lies within the self-hits of the
     sensor's own rays, [self_nearest, self_farthest], widened by `tolerance`
@@ -147,18 +147,17 @@ def classify_readings(
     Args:
         distance: (n,) m.
         status: (n,) range status.
-        age: (n,) how long ago the sample was taken, s.
+        age: (n,) of the samples, s.
         self_nearest: (n,) m; inf where no ray hits the robot or its cell.
         self_farthest: (n,) m; -inf there.
         tolerance: m.
-        min_range: a valid distance below it is nearer than can be measured.
+        min_range: a valid distance below it is too near to be measured, m.
         max_range: a valid distance above it is implausible, m.
         max_age: s.
 
     Returns:
-        `Reading` (n,), uint8; `SensorFault` (n,), uint8; and the distance
-        that counts (n,), m: 0 where it is the nearest possible, else as
-        measured.
+        `Reading` (n,), uint8; `SensorFault` (n,), uint8; and the distance to
+        use (n,), m: 0 if too near to be measured, else as measured.
     """
     n = distance.shape[0]
     reading = np.empty(n, dtype=np.uint8)
@@ -214,7 +213,7 @@ def calc_self_interval(self_distance):
 
 @njit(cache=True)
 def count_readings(reading):
-    """Returns how many sensors are clear, valid, masked, faulted, (4,).
+    """Returns the numbers of clear, valid, masked and faulted sensors, (4,).
 
     A held distance counts as valid: it is an obstacle.
     """
@@ -228,19 +227,19 @@ def count_readings(reading):
 
 @njit(cache=True)
 def calc_ring_health(reading, fault, faulted_for, fault_time):
-    """Tells from its sensors whether a ring can be trusted.
+    """Judges from its sensors whether a ring can be trusted.
 
-    FAULTED as soon as a sensor has been faulted for longer than `fault_time`,
-    more than half of the ring's sensors are faulted at once (a shared cause,
-    such as the bus), or none is left. BLIND when every sensor that works is
-    masked: nothing is known of the ring's surroundings. DEGRADED when a
-    sensor is declared dead, HEALTHY otherwise.
+    FAULTED if a sensor has been faulted for longer than `fault_time`, more than
+    half of the ring's sensors are faulted at once (a shared cause, such as the
+    bus), or none is left. BLIND if every working sensor is masked: nothing is
+    known about the ring's surroundings. DEGRADED if a sensor is declared dead,
+    HEALTHY otherwise.
 
     Args:
         reading: `Reading` of each sensor, (n,).
         fault: `SensorFault` of each sensor, (n,); DEAD ones do not count.
-        faulted_for: how long ago each sensor's last good sample was, s, (n,).
-        fault_time: for how long a sensor may be faulted, s.
+        faulted_for: time since each sensor's last good sample, s, (n,).
+        fault_time: how long a sensor may be faulted, s.
 
     Returns:
         `RingHealth` as an integer.

@@ -1,4 +1,4 @@
-"""Where a ring sits on a robot, read from its model."""
+"""Where a ring is on a robot, read from the model."""
 
 import dataclasses as dc
 
@@ -20,7 +20,7 @@ class RingMount:
     X_FS: list[RigidTransform]
     """Poses of the sensors in F; x is the axis of the beam."""
     X_LS: list[RigidTransform]
-    """The same in the ring's own frame L, whose origin is the link's centre."""
+    """The same in the ring's frame L, whose origin is the link's centre."""
     geometry_ids: list[GeometryId]
     """The link's own shapes, which its sensors do not see."""
 
@@ -38,7 +38,7 @@ def find_ring_mount(
         plant: finalized, registered with the inspector's SceneGraph.
         inspector: knows the shapes of the link.
         name: the ring.
-        role: which shapes are meant.
+        role: which shapes to use.
 
     Raises:
         UserError: if the model has no such frames, or they are on different

@@ -1,4 +1,4 @@
-"""Which sensors can be verified by what they see of the robot, over a task."""
+"""Which sensors can be verified during a task by seeing the robot."""
 
 import numpy as np
 
@@ -15,7 +15,7 @@ def calc_verifiable_share(
     Args:
         model: of the rings on the twin.
         path: the task's.
-        step: from look to look, s of path time.
+        step: between looks, s of path time.
 
     Returns:
         0 to 1, ring by ring, (m, n).
@@ -43,15 +43,15 @@ def calc_verifiable_share(
 
 
 def tell_coverage(model: SelfHitModel, share: np.ndarray) -> list[str]:
-    """Says in lines what of the rings self-hits cannot verify.
+    """Returns lines that say what self-hits cannot verify of the rings.
 
     Args:
-        model: with the least share that counts.
-        share: of `calc_verifiable_share`, (m, n).
+        model: has the least share that counts.
+        share: from `calc_verifiable_share`, (m, n).
 
     Returns:
-        One line for each ring that cannot be verified at all, and one for
-        single sensors of the others; none if all can be verified.
+        One line for each ring that cannot be verified at all, and one for each
+        other ring with unverifiable sensors; empty if all can be verified.
     """
     lines = []
     for name, part in zip(model.name, share, strict=True):

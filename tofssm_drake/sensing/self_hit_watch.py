@@ -1,6 +1,6 @@
-"""Watches the rings by what they see of the robot itself.
+"""Verifies the rings by what they see of the robot itself.
 
-`self_hits` has the statistics; here they meet the twin and the systems.
+`self_hits` has the statistics; this module applies them to twin and systems.
 """
 
 from collections.abc import Sequence
@@ -66,26 +66,26 @@ from tofssm_drake.sensing.vl53l1x import (
     calc_cast_range,
 )
 
-# A robot this slow does not move by a millimetre within the time margin,
+# Below this speed a robot moves less than a millimetre in the time margin,
 # rad/s.
 _STILL = 0.05
 
-# Samples of one scan that lie farther apart than this are not compared with
-# one pose of the robot, s (*assumed*: half a ring's period).
+# Samples of a scan farther apart than this are not compared with a single pose
+# of the robot, s (*assumed*: half a ring's period).
 _SPREAD = 0.012
 
-# After the gripper or the count of products has changed, it is not certain
-# for so long what the robot carried at a sample's time, s (*assumed*: more
-# than a sample's greatest age).
+# For this long after gripper or product count has changed, it is uncertain what
+# the robot carried at a sample's time, s (*assumed*: more than a sample's
+# greatest age).
 _UNCERTAIN = 0.1
 
-# Of the looks at a robot that has not moved, so many make one that counts.
+# One in this many looks at a robot that has not moved counts.
 _REST_LOOKS = 5
 
 
 @dc.dataclass(frozen=True, eq=False, kw_only=True)
 class SelfHitModel:
-    """What is needed to tell what m rings of n sensors should see.
+    """What is needed to compute what m rings of n sensors should see.
 
     Made by `make_self_hit_model`.
     """
@@ -98,12 +98,12 @@ class SelfHitModel:
     num_wide: int
     """See `make_self_hit_fan`."""
     believed: RayBundles
-    """Rays of all rings' sensors as the model has them."""
+    """Rays of all rings' sensors as modelled."""
     misfits: tuple[Misfit, ...]
     """Those of single rings first."""
     moved: RayBundles | None
-    """Rays of the ring that is moved, misfit by misfit; None: there are no
-    misfits of single rings. They are cast in one go."""
+    """Rays of the moved ring, misfit by misfit; None: there are no misfits of
+    single rings. They are cast together."""
     orders: np.ndarray
     """See `make_orders`."""
     swaps: np.ndarray
@@ -111,13 +111,13 @@ class SelfHitModel:
     limits: tuple[float, float, float]
     """Tolerance, least and greatest distance of `classify_self_hits`, m."""
     scores: tuple[float, float, float, float]
-    """Those of `calc_step`."""
+    """Scores of `calc_step`."""
     time_margin: float
-    """How uncertain the time of a sample is, s."""
+    """Uncertainty of a sample's time, s."""
 
     @property
     def num_sensors(self) -> int:
-        """Sensors of a ring, n."""
+        """Number of sensors of a ring, n."""
         return self.believed.num_bundles // len(self.name)
 
 
@@ -129,7 +129,7 @@ def move_mount(mount: RingMount, turn: float, shift: float) -> list:
 
 
 def _make_bundles(caster, fan_S, max_range, rings):
-    """Returns rays of rings, each a mount and the poses of its sensors."""
+    """Returns the rays of rings, each a mount and the poses of its sensors."""
     return caster.make_bundles(
         frame_id=[mount.frame_id for mount, X in rings for _ in X],
         X_FS=[X_FS for _, X in rings for X_FS in X],
@@ -201,7 +201,7 @@ def make_self_hit_model(
 
 @dc.dataclass(frozen=True, eq=False, kw_only=True)
 class SelfHitState:
-    """All that is remembered: views of one vector, see `view_state`."""
+    """The remembered state: views of one vector, see `view_state`."""
 
     sensor_sum: np.ndarray
     """Of each sensor's test, (N,)."""
@@ -213,15 +213,15 @@ class SelfHitState:
     """0 or 1, (b,)."""
     ride_start: np.ndarray
     """Distance at which each sensor's stretch began, m, (N,); inf: none.
-    This and the next four are those of `step_rides`."""
+    This and the next four belong to `step_rides`."""
     ride_travel: np.ndarray
     """How far the sensor has moved since, m, (N,)."""
     ride_last: np.ndarray
-    """Where it was when that was counted, in world, m, (N, 3)."""
+    """Position when that was last updated, in world, m, (N, 3)."""
     ride_alarm: np.ndarray
     """0 or 1, (N,)."""
     ride_unfit: np.ndarray
-    """Looks in a row that did not fit the alarm, (N,)."""
+    """Number of looks in a row that did not fit the alarm, (N,)."""
     expectation: np.ndarray
     """What was expected of each sensor at its last look, (3, N)."""
     position: np.ndarray
@@ -231,12 +231,12 @@ class SelfHitState:
     carried: np.ndarray
     """Gripper closed, products placed, and when one changed, s, (3,)."""
     rest: np.ndarray
-    """How often the robot had not moved when it was looked at, (1,)."""
+    """Number of looks at a robot that had not moved, (1,)."""
 
 
 @functools.lru_cache(maxsize=8)
 def _lay_out(rings, sensors, tests):
-    """Returns where in the vector each field is, and its shape."""
+    """Returns the place of each field in the vector, and its shape."""
     shapes = {
         "sensor_alarm": (sensors,),
         "misfit_alarm": (tests,),
@@ -270,7 +270,7 @@ def _lay_out_model(model):
 
 
 def make_state_vector(model: SelfHitModel) -> np.ndarray:
-    """Returns the vector of a state in which nothing was seen yet."""
+    """Returns the vector of the initial state."""
     vector = np.zeros(_lay_out_model(model)[-1][1].stop)
     state = view_state(model, vector)
     state.expectation[:] = make_no_expectation(len(state.sensor_sum))
@@ -282,7 +282,7 @@ def make_state_vector(model: SelfHitModel) -> np.ndarray:
 
 
 def view_state(model: SelfHitModel, vector: np.ndarray) -> SelfHitState:
-    """Returns the parts of a state's vector; they write into it."""
+    """Returns a state whose fields are views of the vector."""
     return SelfHitState(
         **{
             name: vector[part].reshape(shape)
@@ -301,7 +301,7 @@ class Look:
     rings: tuple[int, ...]
     """Which rings have been looked at."""
     which: np.ndarray
-    """Whether a sensor is one of theirs, (N,)."""
+    """Whether a sensor belongs to them, (N,)."""
     distance: np.ndarray
     """As measured, m, (N,)."""
     status: np.ndarray
@@ -311,27 +311,26 @@ class Look:
     qd: np.ndarray
     """Their speeds, rad/s, (6,)."""
     spread: float
-    """The samples were taken within so long before and after, s."""
+    """Greatest difference of a sample's time from the look's, s."""
     gripper_closed: float
     products_placed: float
 
 
 @njit(cache=True)
 def average_motion(sensor_time, position, velocity, limit, near, motion):
-    """Averages the robot's motion over samples that lie close together.
+    """Averages the robot's motion over samples that are close together.
 
     Args:
         sensor_time: of a ring's samples, s, (n,); those that are not finite
             do not count.
         position: joints at these times, rad, (n, 6).
         velocity: their speeds, rad/s, (n, 6).
-        limit: samples farther from the newest one do not count, s.
+        limit: samples older than the newest by more than this do not count, s.
         near: result, which samples count, (n,).
         motion: result, means of both, (2, 6).
 
     Returns:
-        From the middle of the times to the first and last, s; -1: there is
-        no sample.
+        Half the span of the times, s; -1: there is no sample.
     """
     newest = -np.inf
     oldest = np.inf
@@ -358,10 +357,10 @@ def make_looks(
     masked_scans: Sequence[MaskedScan],
     carried: np.ndarray,
 ) -> list[Look]:
-    """Makes looks of new scans, one of all rings that sampled together.
+    """Makes looks of new scans, one for all rings that sampled together.
 
     Args:
-        scans: of n sensors each, as they came; None where there is none.
+        scans: unmasked, of n sensors each; None where there is none.
         masked_scans: of the same scans, for the robot's motion.
         carried: gripper closed and products placed, (2,).
     """
@@ -419,15 +418,15 @@ def expect(
     offset: float = 0.0,
     which: np.ndarray | None = None,
 ) -> np.ndarray:
-    """Tells what a look's sensors may and must see.
+    """Computes what a look's sensors may and must see.
 
     Args:
         model: casts the rays on the twin.
-        look: which rings, and where the robot was.
-        bundles: the rays, of the model.
-        expectation: widened, see `widen_expectation`, (3, N).
-        shift: when after the samples' time to look at the robot, s.
-        offset: what the first joint has more than reported, rad.
+        look: rings and position of the robot.
+        bundles: rays of the model.
+        expectation: changed, see `widen_expectation`, (3, N).
+        shift: how long after the samples' time to look at the robot, s.
+        offset: true minus reported angle of the first joint, rad.
         which: the sensors, (N,); None: all of the look's.
 
     Returns:
@@ -444,7 +443,7 @@ def expect(
 
 
 def count_look(model: SelfHitModel, state: SelfHitState, look: Look) -> None:
-    """Lets a look count in all tests.
+    """Counts a look in all tests.
 
     Args:
         model: what to expect.
@@ -495,7 +494,7 @@ def count_look(model: SelfHitModel, state: SelfHitState, look: Look) -> None:
 
 
 def _count_rides(model, state, look, outcome, origin):
-    """Counts a look in the watch for hits that ride with the robot."""
+    """Counts a look in the test for hits that ride with the robot."""
     step_rides(
         state.ride_start,
         state.ride_travel,
@@ -512,7 +511,7 @@ def _count_rides(model, state, look, outcome, origin):
 
 
 def _try_orders(model, state, look, outcome, ring, is_odd):
-    """Counts a look in the tests for sensors or rings numbered otherwise."""
+    """Counts a look in the tests for wrongly numbered sensors or rings."""
     n = model.num_sensors
     sensors = slice(n * ring, n * ring + n)
     step_orders(
@@ -533,11 +532,11 @@ def _try_orders(model, state, look, outcome, ring, is_odd):
 
 
 def _try_misfits(model, state, look, outcome, odd):
-    """Counts a look in the tests for misfits that need rays of their own.
+    """Counts a look in the tests for misfits that need their own rays.
 
-    Where all is as believed nothing can fit better: a sum that is 0 stays so
-    and is not tried. Of the others a single one is tried then, and counts for
-    all of them: they get what is against them in turns.
+    If all is as believed nothing can fit better: sums that are 0 stay so and
+    are not tried. The others are tried in turn, one per look, which counts for
+    all of them.
     """
     first = len(state.misfit_sum) - len(model.misfits)
     tried = []
@@ -588,7 +587,7 @@ def _try_misfits(model, state, look, outcome, odd):
 
 
 def _expect_moved(model, look, misfits):
-    """Returns what rings see that are moved, misfit by misfit, (3, k n)."""
+    """Returns what moved rings see, misfit by misfit, (3, k n)."""
     if not misfits:
         return None
     n = model.num_sensors
@@ -603,14 +602,14 @@ def _expect_moved(model, look, misfits):
 def describe_test(
     model: SelfHitModel, test: int
 ) -> tuple[str, tuple[int, ...], str]:
-    """Tells what a test for a misfit is about.
+    """Describes what a test for a misfit is about.
 
     Args:
         model: its tests.
         test: index into `SelfHitState.misfit_sum`.
 
     Returns:
-        MISPLACED or MODEL, the rings that it concerns, and a text.
+        MISPLACED or MODEL, the rings concerned, and a text.
     """
     m, p, s = len(model.name), len(model.orders), len(model.swaps)
     if test < m * p:
@@ -629,10 +628,10 @@ def describe_test(
 
 
 def tell_health(model: SelfHitModel, state: SelfHitState) -> SelfHitHealth:
-    """Makes the message of what the tests say.
+    """Makes the message from the results of the tests.
 
-    A sensor's alarm also tells the misfit that explains it best, if there is
-    one: where a ring is turned, single sensors miss the robot first.
+    A sensor's alarm also names the misfit that explains it best, if there is
+    one: if a ring is turned, single sensors miss the robot first.
     """
     m, n = len(model.name), model.num_sensors
     unseen = state.sensor_alarm.reshape(m, n) > 0.0
@@ -653,7 +652,7 @@ def tell_health(model: SelfHitModel, state: SelfHitState) -> SelfHitHealth:
             lines[ring].append(
                 f"unseen self-hit: {model.name[ring]} sensor {sensors}"
             )
-    # An alarm whose sum is on its way down has still to be told.
+    # An alarm is reported until its sum is back at 0.
     for test in np.flatnonzero(state.misfit_alarm):
         kind, rings, text = describe_test(model, test)
         for ring in rings:
@@ -676,7 +675,7 @@ def tell_health(model: SelfHitModel, state: SelfHitState) -> SelfHitHealth:
 
 
 class SelfHitWatch(LeafSystem):
-    """Watches whether the rings see the robot where the twin says they must.
+    """Checks whether the rings see the robot where the twin says they must.
 
     .. pydrake_system::
 
@@ -689,11 +688,10 @@ class SelfHitWatch(LeafSystem):
         output_ports:
         - self_hit_health
 
-    Once a period, scans that are new count in all tests (`count_look`). A
-    scan that is missed so is no loss: the tests take seconds. The masked
-    scans hold the scans as they came, and how the robot was at the samples'
-    times. An alarm ends when the
-    readings have spoken for the model as often as against it.
+    Once a period, new scans count in all tests (`count_look`). Skipping some
+    scans does no harm: the tests take seconds. The masked scans hold the scans
+    as they came, and the robot's motion at the samples' times. An alarm ends
+    when the readings have spoken for the model as much as against it.
     """
 
     def __init__(self, *, model: SelfHitModel, period: float = 0.024):
@@ -701,10 +699,10 @@ class SelfHitWatch(LeafSystem):
 
         Args:
             model: from `make_self_hit_model`.
-            period: from look to look, s; that of the rings is enough.
+            period: between looks, s; the rings' own is enough.
 
         Raises:
-            UserError: if the period is none.
+            UserError: if the period is not positive.
         """
         super().__init__()
         require_period(period)
@@ -737,7 +735,7 @@ class SelfHitWatch(LeafSystem):
 
     @property
     def model(self) -> SelfHitModel:
-        """What the rings are compared with."""
+        """The model that the rings are compared with."""
         return self._model
 
     def _watch(
@@ -796,7 +794,7 @@ class SelfHitWatch(LeafSystem):
 
 
 def apply_health(separation: Separation, health: SelfHitHealth) -> Separation:
-    """Returns a separation whose links with a problem are faulted."""
+    """Returns a separation in which links with a problem are faulted."""
     if not any(health.problem):
         return separation
     is_bad = [line != "" for line in health.problem]
@@ -812,7 +810,7 @@ def apply_health(separation: Separation, health: SelfHitHealth) -> Separation:
 
 
 class SelfHitStop(LeafSystem):
-    """Makes links faulted whose ring does not see the robot where it must.
+    """Marks a link as faulted if its ring does not see the robot as it must.
 
     .. pydrake_system::
 

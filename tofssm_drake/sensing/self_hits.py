@@ -1,21 +1,21 @@
 """Whether the rings see the robot where they must: the statistics.
 
-The twin tells what each sensor must see of the robot and its cell. That is
-compared with what it reports, in two sequential tests (CUSUM, Page 1954):
+The twin says what each sensor must see of the robot and its cell. That is
+compared with the sensor's reports, in two sequential tests (CUSUM, Page 1954):
 
 - for each sensor, whether expected self-hits are missing: `unseen self-hit`.
-  Only what is missing or farther than it can be counts: a person may stand in
-  front of the robot, never make it vanish;
-- for each thing that may be wrong with a ring's mounting or with the joints
-  (`Misfit`), whether the readings fit better with it than without.
+  Only hits that are missing or too far count: a person may stand in front of
+  the robot, but cannot make it vanish;
+- for each possible error of a ring's mounting or of the joints (`Misfit`),
+  whether the readings fit better with it than without.
 
-A test's sum grows by the logarithm of how much more probable a reading is
-with the fault than without, and never falls below 0. Where that is right, the
+A test's sum grows by the logarithm of a reading's likelihood ratio, with the
+fault over without, and never falls below 0. If the likelihoods are right, the
 mean number of looks between two false alarms is at least e^threshold (Lorden
 1971).
 
-A third watch, no test of probabilities, is for hits that ride with the robot:
-see `step_rides`.
+A third test, without probabilities, is for hits that ride with the robot: see
+`step_rides`.
 """
 
 import dataclasses as dc
@@ -41,51 +41,51 @@ from tofssm_drake.sensing.vl53l1x import (
     check_range,
 )
 
-# What one reading says of one expectation.
+# How a reading compares with an expectation.
 QUIET, MATCH, MISS, ALONE = 0, 1, 2, 3
-"""QUIET: nothing. MATCH: the robot or its cell is seen where it is. MISS: it
-is not seen although it must be, or farther than it is. ALONE: something is
-seen where the robot is not; a person may be that."""
+"""QUIET: no information. MATCH: the robot or its cell is seen where it is.
+MISS: it is not seen although it must be, or is seen too far away. ALONE:
+something, perhaps a person, is seen where the robot is not."""
 
 RIDE_STEP = 0.001
-"""A sensor has moved when it has moved by this, m (*assumed*: far above what
-the reported joints of a robot that stands make of noise)."""
+"""Smaller movements of a sensor do not count, m (*assumed*: far above the noise
+of the reported joints of a robot at rest)."""
 
 RIDE_LOOKS_TO_END = 2
-"""A riding hit's alarm ends after so many looks in a row that do not fit it:
+"""A riding hit's alarm ends after this many looks in a row that do not fit it:
 one lost sample must not end it."""
 
 MISPLACED = "misplaced"
-"""A ring is turned, its sensors are numbered otherwise, or it is elsewhere."""
+"""A ring is turned or elsewhere, or its sensors are numbered differently."""
 MODEL = "robot model or joints do not fit"
 """The rings see the robot elsewhere than its joints say."""
 
 
 @dc.dataclass(kw_only=True)
 class SelfHitConfig:
-    """How the rings are watched by what they see of the robot itself."""
+    """How the rings are verified by what they see of the robot itself."""
 
-    # False: nothing is watched. A ring that sees nothing at all passes for
-    # one with nobody around it.
+    # False: no verification. A ring that sees nothing at all passes for one
+    # with nobody around it.
     enabled: bool = True
 
-    # The robot must be seen by a cone that is narrower by this on each side,
-    # deg, and need not be seen by one that is wider by it (*assumed*: as in
-    # the mask, the last degree of a mounting).
+    # A cone narrower by this on each side must see the robot, and a cone wider
+    # by this may see it, deg (*assumed*: as in the mask, the last degree of a
+    # mounting).
     edge_margin_deg: float = 1.0
 
-    # Nothing has to be seen beyond this distance, m (*assumed*: two thirds of
-    # the usable range, where a target is seen with a probability of 0.998).
+    # Nothing need be seen beyond this distance, m (*assumed*: two thirds of the
+    # usable range, where a target is seen with a probability of 0.998).
     max_distance: float = 0.9
 
-    # How often a sensor that works misses an expected self-hit (*assumed*:
-    # four times the model's dropouts), and how often a broken one at least
-    # does that is to be found as fast as possible.
+    # Rate at which a working sensor misses an expected self-hit (*assumed*:
+    # four times the model's dropouts), and the least rate of a broken one that
+    # is to be found as fast as possible.
     miss_rate: float = 0.02
     broken_rate: float = 0.5
 
-    # Scans of a ring from look to look. More looks find small misfits sooner
-    # and take time of the monitor's.
+    # Scans of a ring per look. More looks find small misfits sooner, but take
+    # computing time.
     scans_per_look: int = 3
 
     # Threshold of a sensor's sum. e^23 looks of 6 sensors at 14 Hz are three
@@ -93,40 +93,39 @@ class SelfHitConfig:
     # reach it: 0.6 s.
     sensor_threshold: float = 23.0
 
-    # How much it counts, as a natural logarithm, that a reading is alone by
-    # one expectation and matches the other, and that it is missing by one
-    # only. No ring's scan counts more than the limit, so that none decides.
-    # A person can be what is alone, so it counts less than a likelihood
-    # ratio would (*assumed*).
+    # Scores, as natural logarithms, of a reading that is alone by one
+    # expectation and matches the other, and of one that is missing by only one
+    # of them. A ring's scan counts at most the limit, so that none decides. A
+    # person may cause a lone reading, so it counts less than a likelihood ratio
+    # would (*assumed*).
     alone_score: float = 2.0
     miss_score: float = 4.0
     score_limit: float = 4.0
 
-    # What is alone counts the less the wider the interval is that it matches,
-    # and nothing from this width on, m (*measured*: with it a person's sums
-    # are less than half as high). Something hits a wide one by chance.
+    # A lone reading counts less the wider the interval that it matches, and
+    # nothing from this width on, m (*measured*: with it a person's sums are
+    # less than half as high). A wide interval is easily hit by chance.
     full_width: float = 0.5
 
-    # Threshold of the sum of a misfit (*measured*: twice the highest sum that
-    # a person brought about in an hour, see docs/self_hits.md).
+    # Threshold of the sum of a misfit (*measured*: twice the highest sum that a
+    # person caused in an hour, see docs/self_hits.md).
     misfit_threshold: float = 12.0
 
-    # A misfit whose sum is above this lends its name to a sensor's alarm:
-    # where a ring is turned, single sensors miss the robot first.
+    # A misfit whose sum is above this is named in a sensor's alarm: if a ring
+    # is turned, single sensors miss the robot first.
     name_threshold: float = 4.0
 
-    # The robot must have moved by this in some joint between two looks for
-    # misfits, rad (*assumed*): what stands still beside a robot that stands
-    # still proves nothing by being seen again and again. A robot that has not
-    # moved is looked at a fifth as often.
+    # Some joint must have moved by this between two looks for misfits, rad
+    # (*assumed*): seeing the same thing again and again beside a robot at rest
+    # proves nothing. A robot that has not moved is looked at a fifth as often.
     min_motion: float = 0.02
 
-    # Turns of a ring about its axis that are tried to both sides, deg. Turns
-    # from sensor to sensor are tried without being named here.
+    # Turns of a ring about its axis that are tried to both sides, deg. Turns by
+    # whole sensors are always tried.
     turns_deg: list[float] = dc.field(default_factory=lambda: [5.0, 20.0])
 
-    # By how much the tool's ring may sit farther out, or in, m: an adapter
-    # that is not in the model.
+    # Shift of the tool's ring along its axis that is tried to both sides, m: an
+    # adapter that is not in the model.
     tool_shift: float = 0.05
 
     # Offset of the first joint that is tried to both sides, rad, and delay of
@@ -134,14 +133,15 @@ class SelfHitConfig:
     joint_offset: float = 0.1
     joint_delay: float = 0.05
 
-    # Something is alone at one distance, within the mask's tolerance, while
-    # its sensor travels farther than this: it rides with the robot, m
-    # (*assumed*: nobody keeps a distance to within 30 mm along a metre of the
-    # arm's way; for what a person does see docs/self_hits.md).
+    # If a reading stays alone at one distance, within the mask's tolerance,
+    # while its sensor travels farther than this, the hit rides with the robot,
+    # m (*assumed*: nobody keeps a distance to within 30 mm along a metre of the
+    # arm's path; for what a person does see docs/self_hits.md).
     ride_travel: float = 1.0
 
-    # A ring whose best sensor has an expected self-hit in less than this part
-    # of the task cannot be verified (*assumed*: twice in a cycle of 6.6 s).
+    # If a ring's best sensor has an expected self-hit in less than this part of
+    # the task, the ring cannot be verified (*assumed*: twice in a cycle of
+    # 6.6 s).
     min_share: float = 0.02
 
     def check(self, where: str) -> None:
@@ -184,12 +184,11 @@ def make_self_hit_fan(
     mask_config: OcclusionMaskConfig,
     ring_config: TofRingConfig,
 ) -> tuple[np.ndarray, int]:
-    """Returns directions of a sensor's rays on the twin, and where they part.
+    """Returns directions of a sensor's rays on the twin, in two cones.
 
     Returns:
-        (k, 3) unit vectors, and how many of them are the wide cone's, by
-        which the robot may be seen; the others are the narrow cone's, by
-        which it must.
+        (k, 3) unit vectors, and how many of them belong to the wide cone, which
+        may see the robot; the others belong to the narrow cone, which must.
     """
     wide = make_mask_fan(
         dc.replace(mask_config, edge_margin_deg=config.edge_margin_deg),
@@ -202,14 +201,14 @@ def make_self_hit_fan(
 
 @njit(cache=True)
 def widen_expectation(ray_distance, num_wide, expectation):
-    """Lets a look at the twin count in what sensors may and must see.
+    """Adds a look at the twin to what sensors may and must see.
 
     Args:
         ray_distance: along the rays of `make_self_hit_fan`, m, inf where they
             hit nothing, (n, k).
-        num_wide: how many rays are the wide cone's.
+        num_wide: number of rays of the wide cone.
         expectation: changed: nearest and farthest self-hit of the wide cone
-            (inf and -inf: none), and how far off the robot is at most for the
+            (inf and -inf: none), and greatest distance of the robot for the
             narrow one, which takes two rays (inf: it need not be seen),
             m, (3, n).
     """
@@ -244,8 +243,8 @@ def must_see(expectation, min_range, max_distance):
 
     Args:
         expectation: see `widen_expectation`, (3, n).
-        min_range: where a nearer self-hit can be, any distance may follow, m.
-        max_distance: what is farther need not be seen, m.
+        min_range: a nearer self-hit may give any distance, m.
+        max_distance: a farther one need not be seen, m.
     """
     return (expectation[2] < max_distance) & (expectation[0] >= min_range)
 
@@ -254,14 +253,14 @@ def must_see(expectation, min_range, max_distance):
 def classify_self_hits(
     distance, status, expectation, tolerance, min_range, max_distance, outcome
 ):
-    """Tells what each reading says of an expectation.
+    """Compares each reading with an expectation.
 
     Args:
         distance: as measured, m, (n,).
         status: range status, (n,).
         expectation: see `widen_expectation`, (3, n).
         tolerance: of a distance, m.
-        min_range: below it there is a target, but no distance, m.
+        min_range: a nearer target has no distance, m.
         max_distance: see `must_see`, m.
         outcome: result, QUIET, MATCH, MISS or ALONE, (n,).
 
@@ -295,7 +294,7 @@ def classify_self_hits(
 
 @njit(cache=True)
 def calc_origins(X_WF, frame_index, X_FS):
-    """Returns where sensors are in the world, m, (n, 3).
+    """Returns the positions of sensors in the world, m, (n, 3).
 
     Args:
         X_WF: poses of frames, (frames, 3, 4).
@@ -326,26 +325,26 @@ def step_rides(
     tolerance,
     ride_travel,
 ):
-    """Counts a look in the watch for hits that ride with the robot.
+    """Counts a look in the test for hits that ride with the robot.
 
-    A stretch begins with a reading that is ALONE. It ends with one that is
-    not, or that is at another distance; then the next begins. Where there is
-    an alarm, that takes `RIDE_LOOKS_TO_END` of them in a row. A sensor
-    without a reading (a sample of another time, a failure) changes nothing,
-    so that no failure ends an alarm.
+    A stretch begins with a reading that is ALONE. It ends with one that is not,
+    or that is at another distance, which begins the next; during an alarm, with
+    `RIDE_LOOKS_TO_END` of them in a row. A sensor without a reading (a sample
+    of another time, a failure) changes nothing, so that no failure ends an
+    alarm.
 
     Args:
-        start: distance at which the stretch began, m, inf where there is
+        start: distance at which the stretch began, m, inf if there is
             none; changed, (n,).
         travel: how far the sensor has moved since, m; changed, (n,).
-        last: where it was when that was counted, in world, m; changed,
+        last: position when that was updated, in world, m; changed,
             (n, 3).
         alarm: changed, 0 or 1, (n,).
         unfit: looks in a row that did not fit the alarm; changed, (n,).
         outcome: of `classify_self_hits`, (n,).
         distance: as measured, m, (n,).
         status: range status, (n,).
-        origin: where the sensors are, in world, m, (n, 3).
+        origin: positions of the sensors, in world, m, (n, 3).
         tolerance: of a distance, m.
         ride_travel: an alarm begins beyond this, m.
     """
@@ -383,17 +382,17 @@ def calc_step(
     miss_score,
     score_limit,
 ):
-    """Returns by how much better one expectation fits than another.
+    """Returns how much better one expectation fits than another.
 
-    A sensor that sees nothing although it must speaks for no misfit by which
-    it need not see anything: it may be broken, and has a test of its own.
+    A sensor that sees nothing although it must is no evidence for a misfit with
+    which it need not see anything: it may be broken, and has its own test.
 
     Args:
-        believed: outcomes of a ring's sensors by what is believed, (n,).
-        tried: their outcomes by what is tried, (n,).
-        width: from the nearest to the farthest self-hit by that, m, (n,).
+        believed: outcomes of a ring's sensors with the model as it is, (n,).
+        tried: their outcomes with the misfit, (n,).
+        width: from nearest to farthest self-hit with the misfit, m, (n,).
         full_width: see `SelfHitConfig`, m, like the next three.
-        alone_score: of something alone.
+        alone_score: of a lone reading.
         miss_score: of a miss.
         score_limit: of the result.
     """
@@ -416,14 +415,14 @@ def calc_step(
 def step_cusum(total, is_alarm, step, threshold):
     """Adds to the sum of a sequential test; returns it and the alarm.
 
-    The alarm begins at the threshold and ends when the sum is 0 again. The
-    sum goes no higher than twice the threshold, so that an alarm does not
-    take the longer to end the longer it was.
+    The alarm begins at the threshold and ends when the sum is 0 again. The sum
+    is limited to twice the threshold, so that a long alarm does not take longer
+    to end.
 
     Args:
-        total: the sum before.
-        is_alarm: whether there was an alarm before.
-        step: logarithm of a likelihood ratio, faulty over healthy.
+        total: the previous sum.
+        is_alarm: whether there was an alarm.
+        step: logarithm of the likelihood ratio, faulty over healthy.
         threshold: above 0.
     """
     total = min(max(total + step, 0.0), 2.0 * threshold)
@@ -443,7 +442,7 @@ def step_sensors(
         alarm: changed, 0 or 1, (n,).
         outcome: of `classify_self_hits`, (n,).
         must: whether the sensor must see the robot, (n,).
-        miss_rate: of a sensor that works.
+        miss_rate: of a working sensor.
         broken_rate: of a broken one.
         threshold: of the sum.
     """
@@ -479,7 +478,7 @@ def step_misfit(
     Args:
         total: sums of all tests; changed.
         alarm: of all tests, 0 or 1; changed.
-        test: which one it is.
+        test: index of this one.
         distance: of a ring's sensors, m, (n,).
         status: likewise.
         expectation: with the misfit, (3, n).
@@ -487,7 +486,7 @@ def step_misfit(
         limits: the last three of `classify_self_hits`.
         scores: the last four of `calc_step`.
         threshold: of the sum.
-        weight: for how many looks it counts.
+        weight: number of looks that it counts for.
     """
     tried = np.empty_like(believed)
     classify_self_hits(
@@ -524,23 +523,23 @@ def step_orders(
     scores,
     threshold,
 ):
-    """Counts a look in the tests for sensors or rings numbered otherwise.
+    """Counts a look in the tests for wrongly numbered sensors or rings.
 
-    They need no rays of their own. Other rings are expected as they were
-    when they were last looked at, some milliseconds ago.
+    They need no rays of their own. For other rings the expectation of the last
+    look, some milliseconds ago, is used.
 
     Args:
         total: sums of all tests: orders ring by ring, then swaps; changed.
         alarm: of all tests, 0 or 1; changed.
-        ring: which ring was looked at.
-        is_odd: whether anything of it is missing or alone. If not, nothing
-            can fit better, and sums that are 0 stay so.
+        ring: index of the ring.
+        is_odd: whether any of its readings is missing or alone. If not,
+        nothing can fit better, and sums that are 0 stay so.
         distance: of its sensors, m, (n,).
         status: likewise.
         expectation: of all rings' sensors, (3, m n).
         orders: see `make_orders`, (p, n).
         swaps: see `list_swaps`, (s, 2).
-        believed: outcomes as the model has it, (n,).
+        believed: outcomes with the model as it is, (n,).
         limits: the last three of `classify_self_hits`.
         scores: the last four of `calc_step`.
         threshold: of the sums.
@@ -575,11 +574,11 @@ def step_orders(
 
 
 def make_orders(n: int) -> np.ndarray:
-    """Returns the ways in which a ring's sensors may be numbered otherwise.
+    """Returns the wrong numberings of a ring's sensors that are tried.
 
     Returns:
-        Of each way, which sensor of the model each index is, (2 n - 1, n):
-        shifted by 1 to n - 1, then backwards and shifted by 0 to n - 1.
+        For each, the model's sensor of each index, (2 n - 1, n): shifted by 1
+        to n - 1, then reversed and shifted by 0 to n - 1.
     """
     index = np.arange(n)
     shifted = [(index + s) % n for s in range(1, n)]
@@ -588,7 +587,7 @@ def make_orders(n: int) -> np.ndarray:
 
 
 def name_order(order: np.ndarray) -> str:
-    """Returns what one of `make_orders` is called."""
+    """Returns a text for one of `make_orders`."""
     n = len(order)
     if order[1] == (order[0] - 1) % n:
         return "its sensors are numbered backwards"
@@ -602,26 +601,26 @@ def name_order(order: np.ndarray) -> str:
 
 @dc.dataclass(frozen=True, kw_only=True)
 class Misfit:
-    """Something that may be wrong, which needs rays of its own to try."""
+    """A possible error that needs its own rays to try."""
 
     kind: str
     """MISPLACED or MODEL."""
     text: str
     """What it is, e.g. "it is turned by 5 deg"."""
     ring: int
-    """Which ring it is about; -1: all of them."""
+    """The ring concerned; -1: all of them."""
     turn: float = 0.0
     """Of the ring about its z, rad."""
     shift: float = 0.0
     """Of the ring along its z, m."""
     offset: float = 0.0
-    """What the first joint has to be more than reported, rad."""
+    """True minus reported angle of the first joint, rad."""
     delay: float = 0.0
-    """By how much the joints are reported late, s."""
+    """Delay of the reported joints, s."""
 
 
 def list_misfits(config: SelfHitConfig, rings: int) -> tuple[Misfit, ...]:
-    """Returns what is tried; of the rings the last one is the tool's."""
+    """Returns the misfits to try; the last ring is the tool's."""
     misfits = [
         Misfit(
             kind=MISPLACED,

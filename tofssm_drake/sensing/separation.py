@@ -1,4 +1,4 @@
-"""From masked scans to how near a person is and how fast that shrinks."""
+"""From masked scans to a person's distance and how fast it shrinks."""
 
 from collections.abc import Sequence
 import dataclasses as dc
@@ -36,25 +36,25 @@ class SeparationConfig:
     # unmonitored person walks at 1.6 m/s towards the robot).
     V_hmax: float = 1.6
 
-    # Difference the minimum over the ring, whichever sensors saw it, as the
-    # paper's Eq. 9 does, instead of each sensor with its own sample before.
+    # Differentiate the minimum over the ring, whichever sensors saw it, as in
+    # the paper's Eq. 9, instead of each sensor's own samples.
     literal: bool = False
 
-    # Keep the sign of the paper's Eq. 9, by which a person who comes nearer
-    # has a negative closing speed. Not safe; for comparison only.
+    # Keep the sign of the paper's Eq. 9, which gives an approaching person a
+    # negative closing speed. Not safe; for comparison only.
     literal_sign: bool = False
 
-    # A sensor's samples that lie farther apart than this say nothing about
-    # a speed, s (*assumed*: three periods and a bit).
+    # A sensor's samples farther apart than this give no speed, s (*assumed*:
+    # slightly more than three periods).
     max_gap: float = 0.1
 
-    # A sensor that has been faulted for longer than this makes its link
-    # faulted, which stops the robot, s (*assumed*: a person walks half a
-    # metre in that time, and at 42 Hz it takes 12 lost samples in a row. If
-    # one sample in ten were lost, three rings of 8 would stop by that once in
-    # 35 years). More than half of a ring's sensors faulted at once stop the
-    # robot at once; with one lost sample in a hundred that happens by chance
-    # once in 17 days.
+    # If a sensor is faulted for longer than this, s, its link is faulted,
+    # which stops the robot (*assumed*: a person walks half a metre in that
+    # time, and at 42 Hz it takes 12 lost samples in a row. If one sample in
+    # ten were lost, three rings of 8 would stop the robot once in 35 years).
+    # If more than half of a ring's sensors are faulted at once, the robot stops
+    # at once; with one lost sample in a hundred that happens by chance once in
+    # 17 days.
     fault_time: float = 0.3
 
     def check(self, where: str) -> None:
@@ -66,10 +66,10 @@ class SeparationConfig:
 
 @dc.dataclass(frozen=True, eq=False, kw_only=True)
 class RingGeometry:
-    """Where the n sensors of a ring sit on their link."""
+    """Where the n sensors of a ring are on their link."""
 
     radius: float
-    """r_l of the circle that the sensors' origins are on, m."""
+    """Radius r_l of the circle of the sensors' origins, m."""
     beam_L: np.ndarray
     """Unit vectors of the beams in the ring's frame L, (n, 3)."""
 
@@ -82,8 +82,8 @@ def make_ring_geometry(X_LS: Sequence) -> RingGeometry:
             origin is the link's centre; x of S is the axis of the beam.
 
     Raises:
-        ValueError: unless the beams point straight away from the origin, all
-            from one radius: the paper's ||D|| = r_l + d holds only then.
+        ValueError: unless all beams start at one radius and point radially
+            outwards: the paper's ||D|| = r_l + d holds only then.
     """
     p_LS = np.array([X.translation() for X in X_LS])
     beam_L = np.array([X.rotation().matrix()[:, 0] for X in X_LS])
@@ -97,7 +97,7 @@ def make_ring_geometry(X_LS: Sequence) -> RingGeometry:
 
 
 class LinkKinematics(Protocol):
-    """What TofSeparation needs to know of the robot."""
+    """What TofSeparation needs to know about the robot."""
 
     def calc(
         self, q: np.ndarray, qd: np.ndarray
@@ -124,14 +124,14 @@ def find_nearest(distance, reading):
 
 @njit(cache=True)
 def close_in(distance, reading, sensor_time, now, speed):
-    """Returns the distances of now: what is HELD has come nearer, (n,) m.
+    """Returns the present distances: HELD ones have shrunk, (n,) m.
 
     Args:
         distance: (n,) m, as of `sensor_time`.
         reading: (n,) `Reading`.
         sensor_time: (n,) s.
         now: s.
-        speed: at which held obstacles close in, m/s.
+        speed: at which held obstacles come closer, m/s.
     """
     result = distance.copy()
     for i in range(distance.shape[0]):
@@ -148,7 +148,7 @@ def saturate(k, k_max):
 
 
 # Columns of a link's row, the fields of a Separation: first the real numbers,
-# then the whole ones.
+# then the integers.
 _TIME = 0
 _DISTANCE = 1
 _LINK_SPEED = 2
@@ -165,12 +165,12 @@ _COLUMNS = 15
 
 @njit(cache=True)
 def _find_moment(distance, reading, sensor_time, now):
-    """Returns the deciding sensor, the one to pose the link by, the time."""
+    """Returns the deciding sensor, the one whose pose counts, and the time."""
     sensor = find_nearest(distance, reading)
     if sensor >= 0 and reading[sensor] == _VALID:
         return sensor, sensor, sensor_time[sensor]
-    # Nothing was measured: the link as the newest sample saw it, but no
-    # younger than the oldest sample that the ring rests on.
+    # Nothing was measured: the link at the newest sample, but with the time
+    # of the oldest sample that the ring relies on.
     newest = 0
     oldest_time = np.inf
     for i in range(sensor_time.shape[0]):
@@ -179,7 +179,7 @@ def _find_moment(distance, reading, sensor_time, now):
         if reading[i] != _FAULTED and reading[i] != _HELD:
             oldest_time = min(oldest_time, sensor_time[i])
     if sensor >= 0:
-        # A held distance is posed, and has closed in, as of now.
+        # The pose and the distance of a held obstacle are those of now.
         return sensor, sensor, min(oldest_time, now)
     if oldest_time == np.inf:
         oldest_time = -np.inf
@@ -188,15 +188,15 @@ def _find_moment(distance, reading, sensor_time, now):
 
 @njit(cache=True)
 def _calc_closing_speed(sensor, distance, time, previous, limits, literal):
-    """Returns -d||D||/dt of a sensor; NaN where it is not known.
+    """Returns -d||D||/dt of a sensor; NaN if it is unknown.
 
     Args:
         sensor: the deciding one.
         distance: as measured, (n,) m.
         time: (n,) s.
-        previous: distances, m, and times, s, of the samples before, (2, n).
+        previous: distances, m, and times, s, of the previous samples, (2, n).
         limits: max_gap, s.
-        literal: differences the minimum over the ring, and its sign.
+        literal: `difference_minimum` and `literal_sign`.
     """
     before = sensor
     if literal[0]:
@@ -206,7 +206,7 @@ def _calc_closing_speed(sensor, distance, time, previous, limits, literal):
             ):
                 before = i
     dt = time[sensor] - previous[1, before]
-    # NaN where that sensor had no valid sample: the comparison is false.
+    # NaN if that sensor had no valid sample: the comparison is false.
     if 0.0 < dt <= limits and previous[0, before] >= 0.0:
         speed = (previous[0, before] - distance[sensor]) / dt
         return -speed if literal[1] else speed
@@ -236,19 +236,19 @@ def calc_link_row(
     link: int,
     k_max: float = 3.3,
 ) -> np.ndarray:
-    """Calculates one link's part of a Separation from its ring's scan.
+    """Calculates a link's part of a Separation from its ring's scan.
 
     The nearest VALID sensor decides (paper, Minimum Distance Calculation):
     ||D|| = r_l + d, along its beam. The directed speeds are
     k_l = V_l . P^ and k_o = -(||D||(t) - ||D||(t - dt)) / dt of the same
-    sensor by its own times, which holds the robot's own motion already;
+    sensor by its own times, which includes the robot's own motion;
     where that sensor had no valid sample before, k_o = k_l + V_hmax.
     Without a valid sensor the distance is inf, k_l = ||V_l|| and
     k_o = ||V_l|| + V_hmax: a person may appear in any direction.
 
-    A HELD distance counts like a valid one. It has closed in with k_max since
-    it was measured, and its k_o is the greater one of the last that was
-    measured and k_l + V_hmax.
+    A HELD distance counts like a valid one. It has shrunk at k_max since it was
+    measured, and its k_o is the greater of the last measured one and
+    k_l + V_hmax.
 
     Args:
         config: settings.
@@ -318,9 +318,9 @@ def _calc_health(config, masked_scan):
 
 
 def describe_problem(masked_scan: MaskedScan) -> str:
-    """Says in a few words what is wrong with a ring; empty: nothing is.
+    """Says in a few words what is wrong with a ring; empty: nothing.
 
-    The text does not change while the same is wrong, e.g.
+    The text does not change while the fault is the same, e.g.
     "sensor 3: bus; sensors 5, 6: frozen".
     """
     if masked_scan.scan.problem:
@@ -346,11 +346,11 @@ def make_separation(
     """Makes the message from the links' rows, (m, 15).
 
     Args:
-        rows: As `calc_link_row` gives them.
+        rows: From `calc_link_row`.
         name: The m links.
-        masked_scans: What the rows were made of, to be found again.
+        masked_scans: What the rows were made from, for later comparison.
     """
-    # By columns, so that each field is contiguous.
+    # Column by column, so that each field is contiguous.
     columns = rows.T.copy()
     whole = columns[_REALS:].astype(int)
     direction = columns[_DIRECTION:_REALS].T.copy()
@@ -376,7 +376,7 @@ def make_separation(
 
 
 def _describe_problems(health, masked_scans):
-    """Returns `Separation.problem`; words are made of what is wrong only."""
+    """Returns `Separation.problem`; texts are made only for faults."""
     if len(masked_scans) != len(health):
         return ("",) * len(health)
     return tuple(
@@ -390,28 +390,28 @@ def _describe_problems(health, masked_scans):
 _WITH_PROBLEM = (int(RingHealth.FAULTED), int(RingHealth.DEGRADED))
 
 
-# What `lay_out_separation` takes, as rows of m links each. Behind the rows of
-# `reals` are the directions, link by link, behind those of `whole` the counts.
+# Input of `lay_out_separation`, rows of m links each. After the rows of `reals`
+# come the directions, link by link, after those of `whole` the counts.
 TIME, DISTANCE, LINK_SPEED, K_L, K_O = range(5)
 SEQUENCE, SENSOR, HEALTH = range(3)
 
 
 def make_columns(m: int) -> tuple[np.ndarray, np.ndarray]:
-    """Returns room for the (reals, whole) of m links, (8, m) and (7, m)."""
+    """Returns empty (reals, whole) for m links, (8, m) and (7, m)."""
     return np.empty((8, m)), np.empty((7, m), dtype=int)
 
 
 def lay_out_separation(
     name: tuple[str, ...], reals: np.ndarray, whole: np.ndarray
 ) -> Separation:
-    """Makes the message from two arrays, which are read-only afterwards.
+    """Makes the message from two arrays, which become read-only.
 
-    Its fields are views of them: that takes a third of the time of an array
-    for each.
+    Its fields are views of them, which takes a third of the time of separate
+    arrays.
 
     Args:
         name: The m links.
-        reals: From `make_columns`, written.
+        reals: From `make_columns`, filled in.
         whole: Likewise.
     """
     reals.setflags(write=False)
@@ -450,14 +450,14 @@ def _make_empty_row() -> np.ndarray:
 
 @dc.dataclass(frozen=True, eq=False, kw_only=True)
 class _TofSeparation(Separation):
-    """A separation that knows what it was made of."""
+    """A separation that knows what it was made from."""
 
     rows: np.ndarray
     masked_scans: tuple[MaskedScan, ...]
 
 
 class _LastKinematics:
-    """Remembers the last result: rings mostly sample at the same time."""
+    """Remembers the last result: rings usually sample at the same time."""
 
     def __init__(self, kinematics: LinkKinematics):
         self._kinematics = kinematics
@@ -511,12 +511,12 @@ class TofSeparation(LeafSystem):
         Raises:
             UserError: if a setting is out of range.
             ValueError: if there are not as many rings as names, or k_max is
-                no speed.
+                not positive.
         """
         super().__init__()
         config.check("separation")
         if not (math.isfinite(k_max) and k_max > 0.0):
-            raise ValueError(f"k_max: {k_max} is no speed above 0")
+            raise ValueError(f"k_max: {k_max} must be a speed above 0")
         self._k_max = k_max
         self._config = config
         self._kinematics = _LastKinematics(kinematics)
@@ -550,8 +550,8 @@ class TofSeparation(LeafSystem):
     def _calc_separation(self, context: Context, output):
         """Calculates the rows of the links whose ring has a new scan.
 
-        The masks' state changes as a whole. What the port held before tells
-        which scans are the same; the value still depends on the inputs only.
+        The masks' state changes as a whole. The port's old value shows which
+        scans are the same; the new one still depends only on the inputs.
         """
         before = output.get_value()
         masked_scans = tuple(port.Eval(context) for port in self._masked_scans)

@@ -26,8 +26,8 @@ from tofssm_drake.sensing.vl53l1x import (
     pack_config,
 )
 
-# A sample at the time of a plant step shows the world before the step: it is
-# taken a little earlier, or rounding would decide which of the two it shows.
+# A sample at the time of a plant step shows the world before the step. It is
+# taken slightly earlier, or rounding would decide which of the two it shows.
 _EARLY = 1e-9
 
 
@@ -41,17 +41,17 @@ class TofRingConfig:
     # Full opening angle of a sensor's cone, deg (paper).
     fov_deg: float = 25.0
 
-    # Rays that stand for the cone; 25 are 1 + 8 + 16, the last ring on the
+    # Rays that represent the cone; 25 are 1 + 8 + 16, the last ring on the
     # cone's edge.
     rays_per_sensor: int = 25
 
-    # The device needs this long between two integrations, s; the period of a
-    # ring is the timing budget plus this.
+    # Time between two integrations, s; the period of a ring is the timing
+    # budget plus this.
     period_overhead: float = 0.004
 
     # From the end of the integration to the delivered scan, s (*assumed*):
-    # reading 8 sensors out over a 400 kHz bus takes 0.8 ms each, of which
-    # the mean sample waits half, the frame about 1 ms more.
+    # reading out 8 sensors over a 400 kHz bus takes 0.8 ms each, of which a
+    # sample waits half on average, and the frame takes about 1 ms more.
     readout_time: float = 0.005
 
     @property
@@ -79,7 +79,7 @@ def make_ring_bundles(
     caster: RayCaster,
     mounts: Sequence[RingMount],
 ) -> RayBundles:
-    """Makes the rays of rings, cast in one go.
+    """Makes the rays of rings, cast together.
 
     Args:
         config: field of view, number of rays, range.
@@ -102,7 +102,7 @@ def make_ring_bundles(
 
 @dc.dataclass(frozen=True, eq=False)
 class _Queue:
-    """Scans under way, oldest first, and how many there were: cheap to copy."""
+    """Pending scans, oldest first, and their total number: cheap to copy."""
 
     scans: tuple[tuple[RingScan, ...], ...] = ()
     next_sequence: int = 0
@@ -129,15 +129,15 @@ class TofRings(LeafSystem):
     turned into one `RingScan` per ring. This happens at the centre of the
     sensors' integration, which is the scans' `sensor_time`. The scans appear
     on the ports a latency later (half the timing budget and the readout). The
-    latency may exceed the period: scans under way wait in a queue. Rings that
-    sample at other times are another system; one ring alone is fine.
+    latency may exceed the period: pending scans wait in a queue. Rings that
+    sample at different times need separate systems; a single ring is fine.
 
     A port holds an empty scan (sequence -1) before the first one.
 
-    The port `noise` takes standard normal numbers, NOISE_DRAWS per sensor
-    for each of `noise_scans` scans in turn, all of which have to change once
-    in so many periods, the first time at 0 s. It may be left unconnected if
-    the sensors are ideal. Constant errors are an argument.
+    The port `noise` takes standard normal numbers, NOISE_DRAWS per sensor for
+    each of `noise_scans` scans in turn. All of them must change once in that
+    many periods, the first time at 0 s. It may be left unconnected if the
+    sensors are ideal. Constant errors are an argument.
 
     The device's jitter of the period (1 %) is not simulated.
     """
@@ -158,13 +158,13 @@ class TofRings(LeafSystem):
         Args:
             config: settings of the rings.
             caster: of the SceneGraph that is connected to `geometry_query`.
-            bundles: the sensors' rays, see `make_ring_bundles`; as many
-                sensors for each ring.
-            errors: the sensors' constant errors; None: there are none.
-            phase: time of the first sample, s, 0 for one period; tells the
-                rings' turns apart.
-            noise_scans: for how many scans the port `noise` has numbers. Of
-                a source that changes seldom the rest of a Diagram notices
+            bundles: the sensors' rays, see `make_ring_bundles`; the same
+                number of sensors for each ring.
+            errors: the sensors' constant errors; None: no errors.
+            phase: time of the first sample, s, 0 for one period; staggers
+                the rings.
+            noise_scans: number of scans for which the port `noise` has
+                numbers. A source that changes rarely costs the Diagram
                 less: its event makes Drake copy all State.
             name: the rings, in the order of `bundles`.
 
@@ -230,18 +230,18 @@ class TofRings(LeafSystem):
 
     def _capture(self, context: Context, state: State):
         """Takes a sample and queues it."""
-        # `state` and not `context`: a delivery at the same time has its say.
+        # From `state`, not `context`: it includes a delivery at the same time.
         value = state.get_mutable_abstract_state(self._queue)
         before = value.get_value()
         scans = self._measure(context, before.next_sequence)
-        # Faults to inject (a silent ring, a frozen or stuck value, two
-        # sensors at one address, a dirty cover) would change `scans` here.
+        # Injected faults (a silent ring, a frozen or stuck value, two sensors
+        # at one address, a dirty cover) would change `scans` here.
         value.set_value(
             _Queue((*before.scans, scans), before.next_sequence + 1)
         )
 
     def _deliver(self, context: Context, state: State):
-        """Moves the oldest scans under way to the ports, if they are due."""
+        """Moves the oldest pending scans to the ports, if they are due."""
         value = state.get_mutable_abstract_state(self._queue)
         queue = value.get_value()
         # The tolerance covers the rounding of the events' times.

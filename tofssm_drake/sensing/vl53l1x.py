@@ -1,4 +1,4 @@
-"""Measurement model of a VL53L1X: from ray distances to what it reports.
+"""Measurement model of a VL53L1X: from ray distances to its reports.
 
 The figures are those of ST's datasheet and user manual UM2356 where they
 give any, and engineering assumptions (marked *assumed*) where they do not.
@@ -15,8 +15,8 @@ from tofssm_drake.kernels import njit
 
 NOISE_DRAWS = 4
 """Standard normal draws per sensor and sample: range error, validity, kind of
-failure, arbitrary millimetres. All but the first serve as uniform numbers, by
-way of the normal distribution function."""
+failure, arbitrary millimetres. All but the first are turned into uniform
+numbers by the normal distribution function."""
 
 STATUS_VALID = 0
 STATUS_SIGMA_FAIL = 1
@@ -27,8 +27,8 @@ STATUS_HARDWARE_FAIL = 5
 STATUS_WRAP_AROUND = 7
 STATUS_PROCESSING_FAIL = 8
 STATUS_MIN_RANGE_FAIL = 13
-# From here on the numbers are this project's own: first what the host finds
-# in a sample, then what a device reports.
+# The following numbers are this project's own: first those of the host, then
+# those of a device.
 STATUS_FROZEN = 240
 STATUS_SELF_TEST = 241
 STATUS_CONTESTED = 242
@@ -51,18 +51,18 @@ _SIGMA_33MS = 1e-3 * np.array(
 
 @dc.dataclass(kw_only=True)
 class TofSensorConfig:
-    """How well one VL53L1X measures; every effect can be switched off."""
+    """How well a VL53L1X measures; every effect can be switched off."""
 
     # Report the exact nearest distance up to `usable_range`, nothing else:
     # no noise, no bias, no failures, no millimetres.
     ideal: bool = False
 
-    # What the hits within the cone become: "nearest" reports the nearest one,
-    # "mean" their mean weighted by 1/d^2, as the photons are.
+    # How the hits within the cone are combined: "nearest" reports the nearest
+    # one, "mean" their mean weighted by 1/d^2, as the photons are.
     return_model: str = "nearest"
 
-    # Where a target is seen with probability 1/2, m. 1.31 is the paper's best
-    # range; short mode reaches 1.30 (typical) and never more than 1.5 here.
+    # Distance at which a target is seen with probability 1/2, m. 1.31 is the
+    # paper's best range; short mode reaches 1.30 (typical), at most 1.5 here.
     usable_range: float = 1.31
 
     # Width of the logistic fall of that probability, as a part of
@@ -73,8 +73,8 @@ class TofSensorConfig:
     # larger, m (short mode).
     mode_range: float = 1.36
 
-    # Integration time of one measurement, s; 0.020 is the shortest that the
-    # full driver has, in short mode only.
+    # Integration time of a measurement, s; 0.020 is the full driver's shortest,
+    # in short mode only.
     timing_budget: float = 0.020
 
     # Factor on the datasheet's standard deviation; 0: no noise.
@@ -102,7 +102,7 @@ class TofSensorConfig:
     # Below this distance the target is detected but the value is wrong, m.
     min_range: float = 0.040
 
-    # How wrong it can be then, m, and how often status 3 tells so (*assumed*).
+    # Largest error then, m, and how often status 3 reports it (*assumed*).
     # 0 m: as good as elsewhere, always valid.
     min_range_error: float = 0.030
     min_range_clipped: float = 0.5
@@ -189,7 +189,7 @@ def draw_sensor_errors(
         config: how large they are.
         sensors: n.
         seed: the same seed gives the same sensors.
-        ring: tells the rings of one seed apart.
+        ring: distinguishes the rings of one seed.
     """
     draws = np.random.default_rng([seed, ring]).standard_normal((2, sensors))
     limit = config.bias_limit
@@ -204,7 +204,7 @@ def make_perfect_sensor_errors(sensors: int) -> SensorErrors:
     return SensorErrors(bias=np.zeros(sensors), gain=np.ones(sensors))
 
 
-# The order in which the kernel unpacks them.
+# In the order in which the kernel unpacks them.
 _PACKED = (
     "ideal",
     "usable_range",
@@ -242,10 +242,10 @@ def measure(
 
     A target at distance d is seen with probability
     1 / (1 + exp((d - usable_range) / (range_falloff usable_range))), and
-    never beyond the mode's range. What is not seen is weak: status 2, 4 or 7
-    with arbitrary millimetres. A dropout has nothing to do with the target
-    and can also be a status 1. The standard deviation is the datasheet's at
-    33 ms times sqrt(33 ms / timing budget).
+    never beyond the mode's range. A target that is not seen gives status 2, 4
+    or 7 with arbitrary millimetres. A dropout is independent of the target and
+    can also be a status 1. The standard deviation is the datasheet's at 33 ms
+    times sqrt(33 ms / timing budget).
 
     Args:
         config: how well the sensors measure.
@@ -280,7 +280,7 @@ def _calc_uniform(z):
 
 @njit(cache=True)
 def _interpolate_sigma(d):
-    """Standard deviation at a timing budget of 33 ms, m."""
+    """Returns the standard deviation at a timing budget of 33 ms, m."""
     last = len(_SIGMA_DISTANCE) - 1
     if d <= _SIGMA_DISTANCE[0]:
         return _SIGMA_33MS[0]
@@ -295,7 +295,7 @@ def _interpolate_sigma(d):
 
 @njit(cache=True)
 def _calc_target(rays, is_mean):
-    """Distance of what the cone sees and the spread of its hits, m."""
+    """Returns the distance seen by the cone and the spread of its hits, m."""
     nearest = np.inf
     for d in rays:
         nearest = min(nearest, d)
@@ -318,7 +318,7 @@ def _calc_target(rays, is_mean):
 
 @njit(cache=True)
 def _pick_no_return(u):
-    """A status of a target that is too weak or too far to be seen."""
+    """Returns a status of a target that is too weak or too far to be seen."""
     if u < 0.70:
         return STATUS_SIGNAL_FAIL
     if u < 0.80:
@@ -328,7 +328,7 @@ def _pick_no_return(u):
 
 @njit(cache=True)
 def _pick_dropout(u):
-    """A status of a sample that failed for no reason in the scene."""
+    """Returns a status of a sample that failed for no reason in the scene."""
     if u < 0.70:
         return STATUS_SIGNAL_FAIL
     if u < 0.85:
@@ -354,7 +354,7 @@ def measure_packed(
 ):
     """Does what `measure` does, with settings from `pack_config`.
 
-    `distance` and `status` are written; as results they would cost more.
+    It writes `distance` and `status`; returning them would cost more.
     """
     ideal = parameters[0] != 0.0
     usable_range = parameters[1]
@@ -398,7 +398,7 @@ def measure_packed(
             )
             sigma *= noise_gain
 
-        # One uniform number decides: dropout first, then the range.
+        # One uniform number decides: first on a dropout, then on detection.
         p = _calc_detection_probability(
             d, usable_range, range_falloff, mode_range
         )
@@ -421,7 +421,7 @@ def measure_packed(
             measured = gain[i] * d + bias[i] + sigma * noise[i, 0]
 
         if status[i] not in (STATUS_VALID, STATUS_MIN_RANGE_CLIPPED):
-            # As on the device: a number that means nothing.
+            # As on the device: an arbitrary number.
             measured = 4.0 * u_arbitrary
         if resolution > 0.0:
             measured = resolution * np.round(measured / resolution)

@@ -22,10 +22,10 @@ class SsmConfig:
     # distances).
     configuration: str = "vo"
 
-    # True takes the paper to the letter: distances that may fall below each
+    # True follows the paper literally: distances that may fall below each
     # other and below C_dC when the gap opens, the normal state tested first,
-    # and a speed fraction that may still rise after a stop was decided.
-    # For comparison only.
+    # and a speed fraction that may still rise after the decision to stop. For
+    # comparison only.
     literal: bool = False
 
     # Time from normal speed to a standstill, s.
@@ -40,16 +40,16 @@ class SsmConfig:
     # Greatest speed of the robot, m/s.
     V_lmax: float = 1.7
 
-    # Greatest relative directed speed, m/s (k_max of "vo"): V_lmax and a
-    # person who walks with 1.6 m/s.
+    # Greatest relative directed speed, m/s (k_max of "vo"): V_lmax plus a
+    # person walking at 1.6 m/s.
     k_omax: float = 3.3
 
     # Greatest directed speed of the robot alone, m/s (k_max of "vr"). The
     # paper's text has V_lmax, its Table 3.3.
     k_lmax: float = 1.7
 
-    # Cushioning constant, m: intrusion distance and the uncertainties of
-    # the positions of person and robot.
+    # Cushioning constant, m: intrusion distance and the uncertainties of the
+    # positions of person and robot.
     C_dC: float = 0.3
 
     # Least braking distance, m.
@@ -67,10 +67,10 @@ class SsmConfig:
     # The same when it rises without being critical.
     alpha_D: float = 0.8
 
-    # Age of a sample above which its link counts as unwatched: stop, s.
-    # *Assumed*: T_R, because the distances take no older sample into account;
-    # it is also three 24 ms periods of a ring plus its latency of 24 ms. For
-    # rings with a period of 37 ms use 0.135.
+    # Age of a sample above which its link counts as unwatched and the robot
+    # stops, s. *Assumed*: T_R, because the distances do not allow for older
+    # samples; it is also three 24 ms periods of a ring plus its latency of
+    # 24 ms. For rings with a period of 37 ms use 0.135.
     deadline: float = 0.1
 
     # Speed fraction of the reduced state, in (0, 1).
@@ -84,10 +84,10 @@ class SsmConfig:
     rho_max_acceleration: float = 100.0 / 3.0
 
     def check(self, where: str) -> None:
-        """Raises UserError unless every setting makes sense.
+        """Raises UserError unless every setting is valid.
 
         Args:
-            where: Name of these settings in what the user wrote.
+            where: Name of these settings in the user's input.
         """
         require(
             self.configuration in CONFIGURATIONS,

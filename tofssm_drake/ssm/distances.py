@@ -1,7 +1,7 @@
 """Directed speeds, critical and reduced distance, Distance Safety Index.
 
 Source: the 2019 paper, II-A-2 to II-A-4. Every public function takes a number
-or an array of one element per link. What the filter needs at every tick is
+or an array with one element per link. What the filter needs at every tick is
 compiled; the public functions run the same source on arrays.
 """
 
@@ -14,7 +14,7 @@ from tofssm_drake.ssm.config import SsmConfig
 
 
 class DistanceConstants(NamedTuple):
-    """What compiled code needs of a SsmConfig."""
+    """The part of a SsmConfig that compiled code needs."""
 
     fixed: bool
     """True for "sm": the distances are d_C_sm and d_R_sm."""
@@ -35,7 +35,7 @@ class DistanceConstants(NamedTuple):
 
 
 def make_distance_constants(config: SsmConfig) -> DistanceConstants:
-    """Returns what compiled code needs of the settings."""
+    """Returns the settings that compiled code needs."""
     return DistanceConstants(
         fixed=config.configuration == "sm",
         use_k_o=config.configuration == "vo",
@@ -84,10 +84,10 @@ def reduced_distance(c, k, robot_state, d_C):
 
 
 def calc_directed_speeds(*, p_LO, v_WL, v_WO):
-    """Projects the velocities on the line from the link to the obstacle.
+    """Projects the velocities onto the line from the link to the obstacle.
 
-    The paper's Eqs. 4a and 4b with the *unit* vector of that line. A speed
-    greater than 0 is closing. Neither is saturated.
+    The paper's Eqs. 4a and 4b with the *unit* vector of that line. A positive
+    speed is closing. Neither is saturated.
 
     Args:
         p_LO: From the link's centre to the obstacle, in world, m, (..., 3).
@@ -95,7 +95,7 @@ def calc_directed_speeds(*, p_LO, v_WL, v_WO):
         v_WO: Velocity of the obstacle, m/s, (..., 3).
 
     Returns:
-        k_l and k_o, m/s: that of the link alone and the relative one.
+        k_l and k_o, m/s: of the link alone, and relative.
     """
     p_LO = np.asarray(p_LO, dtype=float)
     v_WL = np.asarray(v_WL, dtype=float)
@@ -106,7 +106,7 @@ def calc_directed_speeds(*, p_LO, v_WL, v_WO):
 
 
 def calc_critical_distance(*, config: SsmConfig, k, link_speed):
-    """Returns the distance within which the robot must stand, m.
+    """Returns the distance within which the robot must stand still, m.
 
     The paper's Eq. 5b,
 
@@ -137,8 +137,8 @@ def calc_reduced_distance(*, config: SsmConfig, k, robot_state, d_C):
         R_buffer = (2 - psi) V_lmax T_red / 4,
 
     with k saturated to +-k_max, and never less than d_C unless
-    `config.literal`. R_buffer is the recovery distance: from a slower state
-    it takes more room to go back to normal. With configuration "sm" it is
+    `config.literal`. R_buffer is the recovery distance: a slower state needs
+    more room to return to normal. With configuration "sm" it is
     `config.d_R_sm`.
 
     Args:
@@ -158,9 +158,9 @@ def calc_reduced_distance(*, config: SsmConfig, k, robot_state, d_C):
 def calc_distance_safety_index(*, C_dC: float, distance):
     """Returns the Distance Safety Index (C_dC / distance)^2.
 
-    The paper's Eqs. 6a to 6c, for a measured distance and for a threshold
-    alike. It is 0 when the link is clear (inf) and 1 at the cushioning
-    distance; it is not clipped, because the filter needs the difference.
+    The paper's Eqs. 6a to 6c, for a measured distance or a threshold. It is 0
+    if the link is clear (inf) and 1 at the cushioning distance; it is not
+    clipped, because the filter needs the difference.
 
     Args:
         C_dC: Cushioning constant, m.

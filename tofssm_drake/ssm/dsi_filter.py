@@ -25,8 +25,8 @@ from tofssm_drake.ssm.distances import (
     reduced_distance,
 )
 
-# A measured distance nearer than this, or negative, counts as this near, m:
-# the index must stay a number that the filter can leave again.
+# Shorter, or negative, measured distances count as this one, m: the filter must
+# be able to recover from the index.
 MIN_DISTANCE = 1e-3
 
 # As compile-time constants for the kernel.
@@ -40,12 +40,11 @@ _NORMAL = float(RobotState.NORMAL)
 
 @njit(cache=True)
 def filter_index(dsi, previous_dsi, dsi_C, alpha_I, alpha_D):
-    """Takes one step of Algorithm 1's asymmetric exponential filter.
+    """Takes a step of Algorithm 1's asymmetric exponential filter.
 
-    A falling index is followed slowly (alpha_I), a rising one faster
-    (alpha_D), a rising one that is critical at once. Written so that the
-    result of a falling index is not below it even in the last digit: a
-    critical sample therefore always stops the robot.
+    A falling index is followed slowly (alpha_I), a rising one faster (alpha_D),
+    and a rising one that is critical at once. Rounding never takes the result
+    below a falling index, so a critical sample always stops the robot.
 
     Args:
         dsi: New sample, finite.
@@ -65,7 +64,7 @@ def filter_index(dsi, previous_dsi, dsi_C, alpha_I, alpha_D):
 
 @njit(cache=True)
 def _threshold(C_dC, distance):
-    # Only `literal` can have a distance of 0 (or less).
+    # Only `literal` can give a distance of 0 (or less).
     return np.inf if distance == 0.0 else (C_dC / distance) ** 2
 
 
@@ -85,7 +84,7 @@ def _calc_index(c, state, sequence, distance, link_speed, k, health, index):
             distance[i] == distance[i]
             and (c.fixed or np.isfinite(k[i] + link_speed[i]))
         ):
-            # Nothing is known: no distance is far enough.
+            # Nothing is known: no distance is sufficient.
             index[3, i] = np.inf
             index[4, i] = np.inf
             index[5, i] = np.nan
@@ -114,8 +113,8 @@ def make_initial_filter_state(m: int) -> np.ndarray:
     """Returns the filter's state before any sample, shape (3 m + 1,).
 
     It holds, for m links, the sequence of the last sample (-1: none), its
-    filtered index (inf: none), the robot state that its thresholds took, and
-    last the robot state of the last control tick.
+    filtered index (inf: none) and the robot state used for its thresholds; then
+    the robot state of the last control tick.
     """
     return np.concatenate(
         [
@@ -128,11 +127,11 @@ def make_initial_filter_state(m: int) -> np.ndarray:
 
 @dc.dataclass(frozen=True, eq=False, kw_only=True)
 class _FilteredIndex(SafetyIndex):
-    """An index that knows what it was made of."""
+    """An index that knows what it was made from."""
 
     separation: Separation
     to_store: bytes
-    """What the filter's state will hold of the links."""
+    """The links' part of the filter's next state."""
 
 
 def calc_safety_index(
@@ -144,18 +143,18 @@ def calc_safety_index(
     """Returns the filtered index and the thresholds of every link.
 
     A link whose sequence differs from the stored one has a new sample: the
-    filter takes one step, and the thresholds take the robot state of the
-    last control tick. Without a new sample the result is what it was, however
-    often it is asked for. A link that is not healthy keeps its index.
+    filter takes one step, and the thresholds use the robot state of the last
+    control tick. Without a new sample the result stays the same, however often
+    it is evaluated. A link that is not healthy keeps its index.
 
     Args:
         constants: Settings.
-        state: As make_initial_filter_state() tells, shape (3 m + 1,).
-        separation: What the sensing found.
+        state: See make_initial_filter_state(), shape (3 m + 1,).
+        separation: Result of the sensing.
 
     Returns:
-        The index. `dsi_raw` is NaN where the link has no reading. A distance
-        or speed that is not a number makes the link FAULTED.
+        The index. `dsi_raw` is NaN if the link has no reading. A NaN distance
+        or speed makes the link FAULTED.
     """
     index = np.empty((9, len(separation.sequence)))
     _calc_index(
@@ -191,15 +190,15 @@ def calc_safety_index(
 def is_stored(
     state: np.ndarray, index: SafetyIndex, separation: Separation
 ) -> bool:
-    """Returns whether an index is what the filter makes of a separation.
+    """Returns whether an index is the filter's result for a separation.
 
-    So it is if it was made of this very separation and the state is what
-    follows from it; then there is nothing to calculate.
+    That is so if it was made from this separation and the state follows from
+    it; then there is nothing to calculate.
 
     Args:
-        state: As make_initial_filter_state() tells, shape (3 m + 1,).
-        index: Made before, of whatever separation.
-        separation: What the sensing found.
+        state: See make_initial_filter_state(), shape (3 m + 1,).
+        index: An earlier result, from any separation.
+        separation: Result of the sensing.
     """
     return (
         isinstance(index, _FilteredIndex)
@@ -210,18 +209,18 @@ def is_stored(
 
 @njit(cache=True)
 def advance_filter_state(state, sequence, dsi, robot_state):
-    """Takes the filter's state over a control tick.
+    """Advances the filter's state by a control tick.
 
     Args:
-        state: As make_initial_filter_state() tells, shape (3 m + 1,);
+        state: See make_initial_filter_state(), shape (3 m + 1,);
             overwritten.
-        sequence: Of the index that calc_safety_index() made of it, (m,).
-        dsi: Of the same, (m,).
-        robot_state: psi that followed from the index; not a number of
-            `RobotState`: STOP.
+        sequence: Of the index from calc_safety_index(), (m,).
+        dsi: Of that index, (m,).
+        robot_state: psi that follows from it; STOP if not a number of
+            `RobotState`.
 
     Returns:
-        Whether anything is new.
+        Whether anything has changed.
     """
     m = len(sequence)
     changed = False
@@ -255,12 +254,12 @@ class DsiFilter(LeafSystem):
 
     `separation` is a `Separation`, `dsi` a `SafetyIndex`. `robot_state` is
     psi, which follows from `dsi`: it is stored at every control tick, and the
-    thresholds of a later sample take the stored one, so that no output
-    depends on this port directly.
+    thresholds of a later sample use the stored one, so that no output depends
+    on this port directly.
 
-    `dsi` shows a new sample at the time at which it arrives. The filter takes
-    one step per sample of a link (a changed `sequence`), not one per control
-    tick; see calc_safety_index().
+    `dsi` shows a new sample as soon as it arrives. The filter takes one step
+    per sample of a link (a changed `sequence`), not per control tick; see
+    calc_safety_index().
 
     Args:
         config: Settings.
@@ -310,7 +309,7 @@ class DsiFilter(LeafSystem):
                 f"was made for {self._name}"
             )
         state = context.get_discrete_state(self._state).value()
-        # The state changes once a sample was stored, the index does not.
+        # Storing a sample changes the state, but not the index.
         if is_stored(state, output.get_value(), separation):
             return
         output.set_value(
@@ -321,7 +320,7 @@ class DsiFilter(LeafSystem):
 
     def _update(self, context, discrete_state):
         index = self._dsi.Eval(context)
-        # Where nothing is new, what depends on the state stays valid.
+        # If nothing is new, what depends on the state stays valid.
         if advance_filter_state(
             discrete_state.get_mutable_value(self._state),
             index.sequence,

@@ -1,4 +1,4 @@
-"""Whether what the safety law works on is fresh and healthy."""
+"""Whether the safety law's input is fresh and healthy."""
 
 from pydrake.common.value import Value
 from pydrake.systems.framework import Context, LeafSystem
@@ -20,15 +20,15 @@ _WORKING = (
 def find_sensing_problem(
     *, index: SafetyIndex | Separation, now: float, deadline: float
 ) -> str:
-    """Says what is wrong with the sensing of some link; "": with none.
+    """Returns what is wrong with some link's sensing; "" if nothing.
 
-    It is what the safety law stops for without having seen anybody: no
-    sample, a faulted ring, a sample further from now than the deadline. The
-    text does not change while the same is wrong.
+    These are the reasons why the safety law stops without having seen anybody:
+    no sample, a faulted ring, a sample further from now than the deadline. The
+    text does not change while the problem is the same.
 
     Args:
-        index: The law's, or what it is computed of: with time and health of
-            each link's sensing.
+        index: The law's, or its input: with time and health of each link's
+            sensing.
         now: Time, s, on the clock of `index.time`.
         deadline: The law's, s.
     """
@@ -45,14 +45,14 @@ def find_sensing_problem(
         if health not in _WORKING:
             problem = problems.get(name, "")
             return f"{name} is faulted{problem and ', ' + problem}"
-        # Not a number is too old, too.
+        # NaN is too old, too.
         if not abs(now - time) <= deadline:
             return f"{name} sample is too old"
     return ""
 
 
 class SensingProblem(LeafSystem):
-    """Says why the sensing is not fresh and healthy.
+    """Reports why the sensing is not fresh and healthy.
 
     .. pydrake_system::
 
@@ -62,10 +62,10 @@ class SensingProblem(LeafSystem):
         output_ports:
         - problem
 
-    `problem` (str) is what `find_sensing_problem` says of `separation` now.
+    `problem` (str) is the result of `find_sensing_problem` for `separation`.
 
     Args:
-        deadline: How old the law lets a sample be, s.
+        deadline: Greatest age of a sample for the law, s.
     """
 
     def __init__(self, *, deadline: float):

@@ -20,16 +20,16 @@ from tofssm_drake.errors import require_period
 from tofssm_drake.messages import RobotState
 from tofssm_drake.ssm.config import SsmConfig
 
-# What rounding leaves of a profile that has arrived.
+# Rounding error of a completed profile.
 _TOLERANCE = 1e-9
 
 
 @functools.lru_cache(maxsize=16)
 def _make_planner(max_rate, max_acceleration, thread):
-    """Makes Ruckig's objects for one degree of freedom, once for a thread.
+    """Makes Ruckig's objects for one degree of freedom, once per thread.
 
-    They are a working memory: `calculate` depends on what the input holds
-    then, not on the tick before.
+    They are only working memory: `calculate` depends on its input, not on the
+    previous tick.
     """
     otg_input = InputParameter(1)
     otg_input.control_interface = ControlInterface.Velocity
@@ -38,7 +38,7 @@ def _make_planner(max_rate, max_acceleration, thread):
     return Ruckig(1), Trajectory(1), otg_input
 
 
-# Ruckig's binding complains of objects that outlive the interpreter.
+# Ruckig's binding complains about objects that outlive the interpreter.
 atexit.register(_make_planner.cache_clear)
 
 
@@ -50,18 +50,18 @@ def calc_next_speed_fraction(
     rate: float,
     target: float,
 ) -> tuple[float, float]:
-    """Takes the speed fraction rho one control tick towards its target.
+    """Moves the speed fraction rho towards its target for one control tick.
 
-    Time-optimal with limited rate and acceleration: Ruckig's velocity
-    interface with rho in the place of the velocity, which is what Reflexxes
-    Type II computes. Every tick is planned anew from the given values.
+    Time-optimal with limited rate and acceleration: Ruckig's velocity interface
+    with rho as the velocity, which is what Reflexxes Type II computes. Every
+    tick is planned from scratch from the given values.
 
-    When the target drops below where rho is heading while rho still rises,
-    limited acceleration would let rho rise on for up to
-    rho_max_rate / rho_max_acceleration (0.1 s), and a stop would take that
+    If the target drops below where rho is heading while rho still rises, the
+    limited acceleration would let rho rise for up to
+    rho_max_rate / rho_max_acceleration (0.1 s) more, and a stop would take that
     much longer than T_stop. Unless `config.literal`, the rise is therefore cut
-    in that tick: rho never passes its target from below, never rises while
-    the target is 0, and from any state stops within the time and the distance
+    off in that tick: rho never passes its target from below, never rises while
+    the target is 0, and stops from any state within the time and the distance
     of a stop from rho = 1.
 
     Args:
@@ -69,7 +69,7 @@ def calc_next_speed_fraction(
         period: Control tick, s.
         rho: Speed fraction, in [0, 1].
         rate: Its rate, 1/s.
-        target: Where it goes, in [0, 1].
+        target: Its target, in [0, 1].
 
     Returns:
         rho and rate after the tick; 0 and 0 if no profile can be planned.
@@ -148,7 +148,7 @@ class SpeedFractionTrajectory(LeafSystem):
         )
 
     def _update(self, context, discrete_state):
-        # Before they are changed: those of the context.
+        # Before the update: those of the context.
         (rho,) = discrete_state.get_value(self._rho).tolist()
         (rate,) = discrete_state.get_value(self._rate).tolist()
         target = self._targets.get(self._robot_state.Eval(context)[0], 0.0)

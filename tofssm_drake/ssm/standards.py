@@ -1,8 +1,7 @@
-"""What the standards ask of the law, as pure functions.
+"""What the standards require of the law, as pure functions.
 
 ISO/TS 15066:2016, 5.5.4 (protective separation distance), ISO 13855 (speeds
-of people) and Universal Robots' stopping times. Nothing here acts: it is for
-the audit of a run.
+of people) and Universal Robots' stopping times. It is used only to audit a run.
 """
 
 import dataclasses as dc
@@ -17,12 +16,12 @@ WALKING_SPEED = 1.6
 UR10_STOP_SPEED = (1.0, 1.5, 2.0, 2.5, 3.0)
 """Speeds of the tool for which Universal Robots states stopping times, m/s."""
 UR10_STOP_TIME = (0.45, 0.50, 0.55, 0.60, 0.65)
-"""The worst case of a category-0 stop from there, s (UR10, CB3)."""
+"""Worst-case times of a category-0 stop from these speeds, s (UR10, CB3)."""
 
 
 @dc.dataclass(kw_only=True)
 class AuditConfig:
-    """What the audit takes for what the scenario does not tell."""
+    """The audit's assumptions about what the scenario does not say."""
 
     # Speed of the person in the protective separation distance, m/s (ISO/TS
     # 15066: 1.6 where it is not monitored).
@@ -34,7 +33,7 @@ class AuditConfig:
     # One cycle of the robot's interface, s (CB3: 8 ms).
     rtde_period: float = 0.008
 
-    # From the command to the beginning of braking, s (*assumed*).
+    # From the command to the start of braking, s (*assumed*).
     brake_start: float = 0.024
 
     def check(self, where: str) -> None:
@@ -54,8 +53,9 @@ def calc_protective_distance(*, v_h, v_r, T_R: float, T_S, C: float):
 
         S_p = v_h (T_R + T_S) + v_r T_R + v_r T_S / 2 + C
 
-    the person's way S_h, the robot's way S_r until it brakes, its stopping
-    distance S_s under constant deceleration. The numbers may be arrays.
+    the person's path S_h, the robot's path S_r until it brakes, and its
+    stopping distance S_s under constant deceleration. The arguments may be
+    arrays.
 
     Args:
         v_h: Speed of the person towards the robot, m/s; may be negative.
@@ -70,8 +70,8 @@ def calc_protective_distance(*, v_h, v_r, T_R: float, T_S, C: float):
 def calc_ur10_stop_time(tcp_speed):
     """Returns the worst-case stopping time of a UR10 (CB3), s.
 
-    Category-0 stop by the speed of the tool: 0.35 s and 0.1 s for each m/s,
-    which is what the stated points lie on.
+    Category-0 stop by the speed of the tool: 0.35 s plus 0.1 s per m/s, a line
+    through the stated points.
 
     Args:
         tcp_speed: m/s, a number or an array.
@@ -87,17 +87,17 @@ def make_latency_budget(
     delivery: float,
     control_period: float,
 ) -> dict[str, float]:
-    """Lists what passes from a person's motion to braking at worst, s.
+    """Lists the worst-case delays from a person's motion to braking, s.
 
     Args:
-        config: What does not depend on the sensing.
-        integration: Time that a sample takes, s.
+        config: Delays that do not depend on the sensing.
+        integration: Integration time of a sample, s.
         wait: Time to the next sample, s.
         delivery: From the end of the sample to the monitor, s.
         control_period: Control tick, s.
 
     Returns:
-        Times by name, in their order; the latency is their sum.
+        Times by name, in order; the latency is their sum.
     """
     return {
         "integration": integration,

@@ -28,10 +28,10 @@ _WORKING = (_HEALTHY, _BLIND, _DEGRADED)
 
 @njit(cache=True)
 def classify_index(dsi, dsi_C, dsi_R, literal):
-    """Returns psi_i that the filtered index gives (end of Algorithm 1).
+    """Returns psi_i for the filtered index (end of Algorithm 1).
 
-    The stop test comes first, and what is not a number stops. `literal` has
-    the paper's order, normal first, which matters where d_R < d_C.
+    The stop test comes first, and NaN stops. `literal` uses the paper's order,
+    normal first, which matters if d_R < d_C.
     """
     if literal and dsi <= dsi_R:
         return _NORMAL
@@ -50,7 +50,7 @@ def _calc_states(
         elif health[i] == _HEALTHY:
             states[i] = classify_index(dsi[i], dsi_C[i], dsi_R[i], literal)
         elif health[i] == _BLIND or health[i] == _DEGRADED:
-            # Without any index yet, that is all that is known.
+            # Without an index, that is all that is known.
             states[i] = _REDUCED
             if dsi[i] != np.inf:
                 state = classify_index(dsi[i], dsi_C[i], dsi_R[i], literal)
@@ -64,10 +64,9 @@ def calc_ring_states(
 ) -> np.ndarray:
     """Returns psi_i of every link (`RobotState`), shape (m,).
 
-    Stop without any sample, with a sample further from now than the deadline
-    (older, or from the future: clocks that disagree), with faulted sensing,
-    and where the filtered index is critical. A blind or degraded link is at
-    most reduced.
+    Stop without a sample, with a sample further from now than the deadline
+    (older, or from the future if clocks disagree), with faulted sensing, and if
+    the filtered index is critical. A blind or degraded link is at most reduced.
 
     Args:
         index: Filtered indices and thresholds.
@@ -93,9 +92,9 @@ def calc_ring_states(
 def calc_reason(*, index: SafetyIndex, now: float, config: SsmConfig) -> str:
     """Says in one line why the robot is not in the normal state.
 
-    It names the deciding link with its distance and threshold. Of several
-    links in the lowest state it takes one that gives no distance, else the
-    one whose index is the greatest in relation to its threshold.
+    It names the deciding link with its distance and threshold. Of several links
+    in the lowest state that is one without a distance, else the one whose index
+    is greatest relative to its threshold.
 
     Args:
         index: Filtered indices and thresholds.
@@ -167,8 +166,8 @@ class TriSsmState(LeafSystem):
     link, `robot_state` (vector, 1) psi, the lowest of them (`RobotState`).
     `reason` (str) is one line that says why psi is not normal.
 
-    It has no state: until there is a sample of every link psi is stop. The
-    outputs depend on time, because a sample that is too old stops the robot.
+    It has no state: psi is stop until there is a sample of every link. The
+    outputs depend on time, because an old sample stops the robot.
 
     Args:
         config: Settings.
