@@ -1,4 +1,4 @@
-"""Makes and runs one run of a campaign, on whichever machine."""
+"""Makes and executes one run of a campaign, on any machine."""
 
 import copy
 import dataclasses as dc
@@ -23,7 +23,7 @@ from tofssm_drake.human.walk import GeneratedWalk
 
 @dc.dataclass(frozen=True, kw_only=True)
 class Outcome:
-    """What a run leaves."""
+    """Results of a run."""
 
     row: dict
     files: dict[str, bytes]
@@ -39,9 +39,9 @@ def make_run_scenario(
 
     Args:
         base: What all runs have in common; not changed. A generated walk or
-            a recording in it tells what the trials do not: where the figure
-            of eight lies.
-        run: Which cell, which trial.
+            a recording in it sets what the trials do not: the place of the
+            figure of eight.
+        run: Cell and trial.
         motion: File name of the recording to replay instead of a generated
             walk; it keeps its own speed and stature.
     """
@@ -82,11 +82,11 @@ def execute(
 ) -> Outcome:
     """Runs one run of a campaign to its end.
 
-    It needs no file of the machine that asks for it, and leaves none.
+    It neither needs files of the calling machine nor leaves any.
 
     Args:
         base: See `make_run_scenario`.
-        run: Which cell, which trial.
+        run: Cell and trial.
         motion: Name and content of the recording to replay.
     """
     scenario = make_run_scenario(base, run, motion and motion[0])
@@ -103,7 +103,7 @@ def execute(
             progress = simulation.advance()
         samples = simulation.make_samples()
         if motion is not None:
-            # Where the file was here says nothing to anybody.
+            # The path on this machine is of no use elsewhere.
             scenario.human.filename = motion[0]
             samples.metadata["scenario"] = describe_scenario(scenario)
         files = {

@@ -1,4 +1,4 @@
-"""Runs the monitor on a real robot's reports, one tick for each of them."""
+"""Runs the monitor on a real robot's reports, one tick per report."""
 
 import dataclasses as dc
 import math
@@ -36,26 +36,26 @@ from tofssm_drake.visualization.health_board import (
     HealthBoard,
 )
 
-# The world of virtual rings, or made-up scans, for so many periods of them.
+# How many periods of virtual rings, or of made-up scans, a warm-up takes.
 _WARM_UP = 3
 
 
 @dc.dataclass(frozen=True, eq=False, kw_only=True)
 class TickInput:
-    """All that a tick follows from."""
+    """All input of a tick."""
 
     time: float
-    """Diagram's time, s; does not fall."""
+    """Diagram's time, s, never decreasing."""
     report: RobotReport
     scans: tuple[RingScan, ...] = ()
-    """Newest scan of each ring on the host's clock; of virtual ones none."""
+    """Newest scan of each ring on the host's clock; none of virtual rings."""
     clock_offset: float = 0.0
-    """What the Diagram's clock shows more than the host's, s."""
+    """Diagram's minus host's clock, s."""
 
 
 @dc.dataclass(frozen=True, eq=False, kw_only=True)
 class TickResult:
-    """What a tick gave."""
+    """Result of a tick."""
 
     time: float
     """Diagram's time, s."""
@@ -71,13 +71,13 @@ class TickResult:
     products_placed: int
     task_done: bool
     sent: float
-    """Host's time when the command had been handed over, s; NaN: it was not."""
+    """Host's time at which the command was handed over, s; NaN: it was not."""
 
     @property
     def health(self) -> str:
-        """Why the robot does not run at full speed, in one line.
+        """Why the robot is not at full speed, in one line.
 
-        The law's reason and the slider's; empty: it does.
+        The law's reason and the slider's; empty: it is.
         """
         reasons = [self.slider.reason]
         if self.robot_state != RobotState.NORMAL:
@@ -90,7 +90,7 @@ def describe_links(result: TickResult, *, deadline: float) -> dict[str, str]:
 
     Args:
         result: Of the newest tick.
-        deadline: How old the law lets a sample be, s.
+        deadline: Greatest age of a sample for the law, s.
     """
     separation = result.separation
     status = {}
@@ -113,7 +113,7 @@ def describe_links(result: TickResult, *, deadline: float) -> dict[str, str]:
 
 
 class HardwareLoop:
-    """The monitor in a loop with a station that is handed its data.
+    """The monitor in a loop with a station whose data are handed in.
 
     Args:
         scenario: Checked settings; rings on the arm.
@@ -184,10 +184,10 @@ class HardwareLoop:
         """Takes a report, computes, and sends the command.
 
         Args:
-            given: What is new.
+            given: The new input.
 
         Returns:
-            What the monitor says of it and what was sent.
+            The monitor's results and what was sent.
         """
         self._station.robot.report = given.report
         if self._station.rings is not None:
@@ -199,7 +199,7 @@ class HardwareLoop:
             self._simulator.Initialize()
             self._has_begun = True
         self._simulator.AdvanceTo(given.time)
-        # The events of that very time: they would else wait for the next tick.
+        # Events at exactly that time would otherwise wait for the next tick.
         self._simulator.AdvancePendingEvents()
         self._publisher.ForcedPublish(
             self._publisher.GetMyContextFromRoot(self._context)
@@ -218,7 +218,7 @@ class HardwareLoop:
         self._has_begun = False
 
     def _ask(self, system, name):
-        """Returns what an output says after the tick."""
+        """Returns an output's value after the tick."""
         return system.GetOutputPort(name).Eval(
             system.GetMyContextFromRoot(self._context)
         )
@@ -248,7 +248,7 @@ class HardwareLoop:
         return True
 
     def _warm_up(self):
-        """Runs a few ticks in vain: the first call of a kernel is slow."""
+        """Runs a few ticks so that kernels are compiled."""
         scenario = self._scenario
         n = scenario.sensors_per_ring
         path = make_program_path(

@@ -1,4 +1,4 @@
-"""The same monitor on what a run was given."""
+"""Runs the same monitor on a run's recorded input."""
 
 import dataclasses as dc
 
@@ -14,23 +14,23 @@ from tofssm_drake.hardware.slider import SliderConfig
 
 @dc.dataclass(frozen=True, kw_only=True)
 class ReplayResult:
-    """What came of a replay."""
+    """Result of a replay."""
 
     ticks: int
-    """How many were replayed."""
+    """Number of replayed ticks."""
     end_time: float
     """Diagram's time of the last one, s."""
     differences: int
-    """Ticks in which the monitor said or sent something else."""
+    """Number of ticks with other results or commands."""
     first: str
-    """What was the first difference; empty: there is none."""
+    """The first difference; empty: none."""
 
 
 def replay_record(reader: RunReader) -> ReplayResult:
-    """Runs the monitor on a record and compares tick by tick.
+    """Runs the monitor on a record and compares the results tick by tick.
 
     Args:
-        reader: Of the record.
+        reader: Reads the record.
 
     Raises:
         UserError: The record's scenario cannot be used here.

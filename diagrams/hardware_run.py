@@ -1,8 +1,8 @@
-"""A run on a real robot: waiting for it, one tick a report, and the end.
+"""A run on a real robot: the wait for it, one tick per report, and the end.
 
     wait for a report -> tick -> command        as often as the robot reports
 
-Whatever ends it, the connection is closed, which puts the slider to 0.
+However it ends, the connection is closed, which sets the slider to 0.
 """
 
 from collections.abc import Callable, Iterator
@@ -38,22 +38,22 @@ from tofssm_drake.messages import RobotReport, SliderCommand
 from tofssm_drake.robot.kinematics import RingKinematics
 from tofssm_drake.robot.program import make_program_path
 
-# One wait for a report, s; then the signals are looked at.
+# One wait for a report, s; then signals are checked.
 _WAIT = 0.05
-# A robot that is silent that long ends the run, s.
+# The run ends if the robot is silent for this long, s.
 _LONGEST_SILENCE = 10.0
-# Reports that come so much later than the fastest ones end the run, s.
+# The run ends if reports come this much later than the fastest ones, s.
 _LATEST = 0.25
 _PATH_STEP = 0.05
-# A joint that is that many times as fast as it can be is a fault, and so is
-# one that is that far from where it may have gone, rad (assumed).
+# A joint that exceeds its speed limit by this factor is a fault, and so is one
+# that is this far beyond where it can have gone, rad (assumed).
 _TOO_FAST = 3.0
 _JUMP = 0.5
-# So near to where it was put the slider is there.
+# The slider is where it was set if it is this close.
 _AT_LOWEST = 0.005
-# Above all that is not real-time, and below the system's own threads (50).
+# Above everything that is not real-time, below the system's own threads (50).
 _PRIORITY = 10
-# Between two lines about what is waited for, s.
+# Between two lines about the reason for waiting, s.
 _QUIET = 2.0
 
 
@@ -65,15 +65,15 @@ def require_ready(
     max_deviation: float,
     model: ModelConfig | None = None,
 ) -> None:
-    """Raises UserError unless the robot may be watched as it is.
+    """Raises UserError unless the robot is in a state to be monitored.
 
     Args:
         report: The robot's newest.
         scenario: Checked settings.
         plant: The cell's, with the arm's limits.
-        max_deviation: How far any joint may be from where the program ever
-            is, rad; inf: anywhere within the limits.
-        model: How near its tool must be to the model's; None: as by default.
+        max_deviation: How far any joint may be from the program's path, rad;
+            inf: anywhere within the limits.
+        model: How close its tool must be to the model's; None: the default.
     """
     for mode in (report.safety_mode, report.safety_status):
         # Older software has no safety status: -1.
@@ -100,13 +100,13 @@ def require_ready(
     require(
         nearest[j] <= max_deviation,
         f"robot: joint {j + 1} is at {q[j]:.3f} rad, {nearest[j]:.2f} from "
-        f"where the scenario's program ever is, more than {max_deviation:g}",
+        f"the path of the scenario's program, more than {max_deviation:g}",
     )
 
 
 @dc.dataclass(frozen=True, kw_only=True)
 class JointLimits:
-    """What no robot of this kind does; each for six joints."""
+    """Limits of the robot's joints, (6,) each."""
 
     low: tuple[float, ...]
     """Least position, rad."""
@@ -128,11 +128,11 @@ class JointLimits:
 def require_plausible(
     report: RobotReport, before: RobotReport, limits: JointLimits
 ) -> None:
-    """Raises UserError if no such robot could have moved like that.
+    """Raises UserError if the robot cannot have moved like that.
 
     Args:
         report: The robot's newest.
-        before: The one that was answered before it.
+        before: The report answered before it.
         limits: Of the arm.
     """
     elapsed = math.inf
@@ -147,7 +147,7 @@ def require_plausible(
         limits.speed,
         strict=True,
     )
-    # Words are made only of what is wrong: this is done in each tick.
+    # Texts are made only for faults, since this runs in each tick.
     for j, (q, v, q_before, low, high, speed) in enumerate(joints):
         problem = ""
         if not low <= q <= high:
@@ -168,14 +168,14 @@ def require_plausible(
 
 
 def hold_robot(robot: RobotConnection, fraction: float) -> None:
-    """Puts the slider to the lowest until there is a monitor; no heartbeat.
+    """Sets the slider to its lowest until the monitor runs; no heartbeat.
 
     Args:
         robot: The robot, if it has reported.
-        fraction: Where the slider shall be.
+        fraction: Where to set the slider.
     """
     report = robot.get_report()
-    # An echo that is no number is none that is low enough.
+    # A NaN echo never counts as low enough.
     if not report.target_speed_fraction <= fraction + _AT_LOWEST:
         robot.send(
             SliderCommand(
@@ -186,12 +186,12 @@ def hold_robot(robot: RobotConnection, fraction: float) -> None:
 
 @contextlib.contextmanager
 def run_in_real_time() -> Iterator[bool]:
-    """Puts the program's threads before all other programs, where it may.
+    """Gives the program's threads real-time priority, if allowed.
 
-    All of Python's that there are: one that another program has interrupted
-    would hold up those that wait for the interpreter. Threads and programs
-    that are started within do not get the priority. A program that was
-    started with a real-time priority is left as it is.
+    It includes all of Python's threads: one that another program interrupts
+    would delay those that wait for the interpreter. Threads and programs
+    started within do not inherit the priority. A program that was started with
+    real-time priority is left as it is.
 
     Yields:
         Whether they have a real-time priority.
@@ -202,7 +202,7 @@ def run_in_real_time() -> Iterator[bool]:
     )
     changed = []
     for thread in threading.enumerate():
-        # It may not, or the thread has just ended.
+        # Not allowed, or the thread has just ended.
         with contextlib.suppress(OSError):
             if os.sched_getscheduler(thread.native_id) == os.SCHED_OTHER:
                 os.sched_setscheduler(
@@ -214,7 +214,7 @@ def run_in_real_time() -> Iterator[bool]:
         yield policy in (os.SCHED_FIFO, os.SCHED_RR)
     finally:
         for number in changed:
-            # The flag stays: only a privileged user may take it back.
+            # The flag stays: only a privileged user may clear it.
             with contextlib.suppress(OSError):
                 os.sched_setscheduler(number, usual, os.sched_param(0))
 
@@ -231,14 +231,14 @@ def wait_for_robot(
     Args:
         robot: Where reports come from.
         timeout: Longest wait, s.
-        tell: Called with what is waited for, whenever that changes.
+        tell: Called with the reason for waiting, whenever it changes.
         is_stopped: Whether to give up.
 
     Returns:
-        Whether it has; False: it was given up.
+        Whether it has; False: it gave up.
 
     Raises:
-        UserError: The time is over.
+        UserError: The timeout has passed.
     """
 
     def has_reported():
@@ -252,10 +252,10 @@ def wait_for_robot(
 
 
 def require_control_period(control_period: float | None) -> None:
-    """Raises UserError if no robot could make such ticks.
+    """Raises UserError if no robot could provide such ticks.
 
     Args:
-        control_period: Control tick that the user wants, s; None: any.
+        control_period: Control tick wanted by the user, s; None: any.
     """
     require(
         control_period is None or 0.001 <= control_period <= 0.1,
@@ -267,16 +267,16 @@ def require_control_period(control_period: float | None) -> None:
 def set_control_period(
     scenario: Scenario, *, frequency: float, control_period: float | None
 ) -> None:
-    """Puts the scenario's control tick onto the robot's reports.
+    """Sets the scenario's control tick to match the robot's reports.
 
     Args:
         scenario: Checked settings; changed in place.
         frequency: Reports per second.
-        control_period: Control tick that the user wants, s; None: one for
-            each report.
+        control_period: Control tick wanted by the user, s; None: one per
+            report.
 
     Raises:
-        UserError: The reports cannot make such ticks.
+        UserError: The reports cannot provide such ticks.
     """
     require_control_period(control_period)
     period = 1.0 / frequency
@@ -290,25 +290,25 @@ def set_control_period(
         period = control_period
     scenario.control_period = period
     scenario.audit.rtde_period = 1.0 / frequency
-    # The simulated arm is not used, but its settings must fit.
+    # The simulated arm is not used, but its settings are checked.
     scenario.robot.time_step = min(scenario.robot.time_step, period)
     scenario.check()
 
 
 class HardwareRun:
-    """Robot, rings and monitor, one tick for each of the robot's reports.
+    """Robot, rings and monitor, one tick per report of the robot.
 
     Args:
         loop: The monitor in its loop.
         robot: Where reports come from.
         rings: Where scans come from; None: they are virtual.
         period: Control tick, s.
-        record: What everything is written to; None: nothing is.
-        limits: What no report may exceed; None: anything may be.
-        kinematics: Of the modelled robot; None: any robot will do.
-        checks: How the robot is checked; None: as by default.
-        lowest: Where the slider is put while robot and rings are waited for.
-        clock: Shows the host's time, s.
+        record: Where everything is recorded; None: nowhere.
+        limits: Limits of the reports; None: no limits.
+        kinematics: Of the modelled robot; None: any robot is accepted.
+        checks: How the robot is checked; None: the default.
+        lowest: Where the slider is set while waiting for robot and rings.
+        clock: Returns the host's time, s.
     """
 
     def __init__(
@@ -341,7 +341,7 @@ class HardwareRun:
         self._clock = clock
         self._heard = clock()
         self.ticks = 0
-        """Reports answered."""
+        """Number of reports answered."""
 
     def wait(
         self,
@@ -350,18 +350,18 @@ class HardwareRun:
         tell: Callable[[str], None],
         is_stopped: Callable[[], bool],
     ) -> RobotReport | None:
-        """Waits until robot and rings are there; holds the robot meanwhile.
+        """Waits for robot and rings; holds the robot meanwhile.
 
         Args:
             timeout: Longest wait for each, s.
-            tell: Called with what is waited for, whenever that changes.
+            tell: Called with the reason for waiting, whenever it changes.
             is_stopped: Whether to give up.
 
         Returns:
-            The robot's newest report; None: it was given up.
+            The robot's newest report; None: it gave up.
 
         Raises:
-            UserError: The time is over.
+            UserError: The timeout has passed.
         """
         if not wait_for_robot(
             self._robot, timeout=timeout, tell=tell, is_stopped=is_stopped
@@ -383,11 +383,11 @@ class HardwareRun:
         """Waits for the next report and answers it.
 
         Returns:
-            What the monitor says; None: there is no new report yet.
+            The monitor's result; None: no new report yet.
 
         Raises:
-            UserError: The robot is silent for too long, or far too late, or
-                what it reports cannot be, or not of the modelled robot.
+            UserError: The robot is silent for too long or far too late, its
+                report is impossible, or it is not the modelled robot.
         """
         report = self._robot.wait_for_report(
             after=self._report.sequence, timeout=_WAIT
@@ -417,12 +417,12 @@ class HardwareRun:
         self.ticks += 1
         if self._record is not None:
             self._record.add_tick(make_recorded_tick(given, result))
-        # After the answer, which must not wait for it.
+        # After the answer, which must not wait for this.
         self._require_modelled_robot(report)
         return result
 
     def _require_good_clock(self):
-        """Raises UserError if reports are far too late or their time is off."""
+        """Raises UserError if reports are too late or their clock is off."""
         lateness = self._robot_clock.lateness
         if not lateness <= _LATEST:
             raise UserError(f"robot: reports come {1e3 * lateness:.0f} ms late")
@@ -444,7 +444,7 @@ class HardwareRun:
             raise UserError(f"robot: {self._match.problem}")
 
     def _have_rings_come(self):
-        # Somebody may have moved the slider, or the robot has started anew.
+        # Someone may have moved the slider, or the robot has restarted.
         hold_robot(self._robot, self._lowest)
         return self._rings.wait_for_scans(_WAIT)
 
@@ -453,7 +453,7 @@ class HardwareRun:
 
 
 def make_recorded_tick(given: TickInput, result: TickResult) -> RecordedTick:
-    """Returns what is recorded of a tick."""
+    """Returns what to record of a tick."""
     return RecordedTick(
         time=given.time,
         clock_offset=given.clock_offset,
@@ -467,7 +467,7 @@ def make_recorded_tick(given: TickInput, result: TickResult) -> RecordedTick:
 
 
 def describe_state(result: TickResult) -> dict:
-    """Returns what the monitor said in a tick as plain values."""
+    """Returns the monitor's results in a tick as plain values."""
     return {
         "robot_state": result.robot_state,
         "ring_states": list(result.ring_states),
@@ -482,9 +482,9 @@ def describe_state(result: TickResult) -> dict:
 
 
 def _wait(is_there, find_problem, timeout, tell, is_stopped):
-    """Returns True when something is there, False if it was given up."""
+    """Returns True when something is there, False if it gave up."""
     deadline = time.monotonic() + timeout
-    told = ""
+    reported = ""
     quiet = time.monotonic() + _QUIET
     while not is_there():
         if is_stopped():
@@ -492,8 +492,8 @@ def _wait(is_there, find_problem, timeout, tell, is_stopped):
         problem = find_problem()
         if time.monotonic() > deadline:
             raise UserError(f"{problem} (waited {timeout:g} s)")
-        if problem != told and time.monotonic() > quiet:
+        if problem != reported and time.monotonic() > quiet:
             tell(f"waiting: {problem}")
-            told = problem
+            reported = problem
             quiet = time.monotonic() + _QUIET
     return True

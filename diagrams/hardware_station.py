@@ -1,4 +1,4 @@
-"""The real robot's side of the cell, with the ports of the simulated one."""
+"""The real robot's side of the cell, with the simulated station's ports."""
 
 import dataclasses as dc
 
@@ -29,7 +29,7 @@ from tofssm_drake.ssm.sensing_problem import SensingProblem
 
 @dc.dataclass(frozen=True, eq=False, kw_only=True)
 class HardwareStation(Station):
-    """A station whose robot is real, and what its loop has to touch."""
+    """A station with a real robot, and the parts that its loop uses."""
 
     robot: HeldRobot
     """Shows the report that the monitor sees."""
@@ -45,7 +45,7 @@ def make_hardware_station(
     slider: SliderConfig | None = None,
     gripper_output: int = 0,
 ) -> HardwareStation:
-    """Makes the real cell: robot and rings as they report, a twin to look at.
+    """Makes the real cell: robot and rings as reported, and a twin for display.
 
     .. pydrake_system::
 
@@ -65,13 +65,13 @@ def make_hardware_station(
         - geometry_query
         - skeleton
 
-    The ports are those of `make_station`, and so is their order; besides,
-    the slider's control wants to know from `separation` whether the sensing
-    is fresh and healthy. Of a real person nothing is known: the scene has
-    none, and `skeleton` is empty.
+    The ports and their order are those of `make_station`; in addition, the
+    slider's control sees from `separation` whether the sensing is fresh and
+    healthy. A real person is unknown: the scene has none, and `skeleton` is
+    empty.
 
-    Nothing is sent by itself: `robot_publisher` sends when it is told to
-    publish, once for each report, when the monitor has seen it.
+    Commands are sent only in forced publish events of `robot_publisher`: once
+    per report, after the monitor has seen it.
 
     Args:
         scenario: Checked settings; rings on the arm.
@@ -87,7 +87,7 @@ def make_hardware_station(
     builder = DiagramBuilder()
     seen = scenario
     if rings is not None:
-        # Nothing is simulated that the twin could see.
+        # Nobody is simulated whom the twin could see.
         seen = dc.replace(scenario, sensing="ideal", human=NoHuman())
     scene_graph, plant = make_scene(builder, seen)
     subscriber, receiver, commanded = _add_robot(
@@ -140,10 +140,10 @@ def make_hardware_station(
 
 
 def _add_robot(builder, robot, receiver):
-    """Adds what reads the robot.
+    """Adds the systems that read the robot.
 
     Returns:
-        Subscriber, receiver, and the connection that is written to.
+        Subscriber, receiver, and the connection for commands.
     """
     interface = builder.AddNamedSystem(
         "robot_interface", RtdeInterfaceSystem(connection=robot)
@@ -160,7 +160,7 @@ def _add_robot(builder, robot, receiver):
 
 
 def _add_rings(builder, rings):
-    """Adds what reads the rings and exports the scans."""
+    """Adds the systems that read the rings, and exports the scans."""
     interface = builder.AddNamedSystem(
         "ring_interface", RingInterfaceSystem(connection=rings)
     )
@@ -168,7 +168,7 @@ def _add_rings(builder, rings):
         "ring_subscriber",
         RingSubscriberSystem(connection=interface.connection, wait_timeout=0.0),
     )
-    # The scans are on the Diagram's clock; what is ahead of it has to wait.
+    # The scans are on the Diagram's clock; one that is ahead of it must wait.
     builder.Connect(
         builder.AddNamedSystem(
             "clock_offset", ConstantVectorSource([0.0])
@@ -182,7 +182,7 @@ def _add_rings(builder, rings):
 
 
 def _add_slider(builder, subscriber, robot, config, deadline):
-    """Adds what moves the slider."""
+    """Adds the systems that control the slider."""
     problem = builder.AddNamedSystem(
         "sensing_problem", SensingProblem(deadline=deadline)
     )

@@ -87,19 +87,19 @@ def make_monitor(
         - masked_scan_tool
         - self_hit_health
 
-    It sees nothing but what real hardware gives: the rings' scans, the joints,
-    a digital output (gripper) and a register (products placed). Of the cell
-    it has a model of its own, the twin.
+    It sees only what real hardware provides: the rings' scans, the joints, a
+    digital output (gripper) and a register (products placed). It has its own
+    model of the cell, the twin.
 
-    With another sensing than the rings it has other ports in the place of
-    `scan_...`, does without gripper and products, and has no `masked_scan_...`
-    and no `self_hit_health` (which is there only if the rings are watched):
-    with `lidar` it is `scan_lidar`, with `ideal` the true person, `skeleton`.
+    Without rings it has another port in place of `scan_...`: with `lidar`
+    `scan_lidar`, with `ideal` the true person, `skeleton`. Then it has neither
+    gripper and products nor `masked_scan_...` and `self_hit_health` (which also
+    needs the rings to be watched).
 
     Args:
         scenario: Checked settings.
-        person_radii: Radii of the pieces of the person of `skeleton`, m, (c,);
-            only the sensing `ideal` takes them.
+        person_radii: Radii of the capsules of the person in `skeleton`, m,
+            (c,); used only by the sensing `ideal`.
 
     Returns:
         The Diagram.
@@ -108,7 +108,7 @@ def make_monitor(
         UserError: If the lidar has no free view.
     """
     builder = DiagramBuilder()
-    # The twin's SceneGraph only tells the shapes once: it is not in the
+    # The twin's SceneGraph only provides the shapes, once: it is not in the
     # Diagram, and poses are computed by TwinPoses.
     scene_graph = SceneGraph()
     plant = make_twin_plant(
@@ -236,7 +236,7 @@ def _add_rings(builder, scenario, scene_graph, plant, kinematics):
     """Adds mask, self-hit watch and separation of the rings.
 
     Returns:
-        The system whose separation counts, and the ports of the masked scans
+        The system with the final separation, and the ports of the masked scans
         and of the watch.
     """
     mask, report, geometries = _add_mask(
@@ -282,7 +282,7 @@ def _add_rings(builder, scenario, scene_graph, plant, kinematics):
 
 
 def _calc_look_period(scenario):
-    """Returns the time from look to look, a multiple of the control tick."""
+    """Returns the time between looks, a multiple of the control tick."""
     wanted = scenario.self_hits.scans_per_look * scenario.rings.period
     tick = scenario.control_period
     return max(1, math.ceil(wanted / tick - 1e-6)) * tick
@@ -310,7 +310,7 @@ def make_scenario_self_hits(
         ring_config=scenario.rings,
         caster=caster,
         mounts=[find_ring_mount(plant, inspector, name) for name in RINGS],
-        # All frames of rings carry geometry that is seen: no bundle adds one.
+        # All rings' frames carry visible geometry: no bundle adds a frame.
         twin=TwinPoses.from_plant(
             plant,
             layout=ProductLayout.from_config(scenario.program),
@@ -321,14 +321,14 @@ def make_scenario_self_hits(
 
 
 def tell_self_hit_coverage(scenario: Scenario) -> list[str]:
-    """Says what of a scenario's rings self-hits cannot verify.
+    """Returns lines that say what self-hits cannot verify of the rings.
 
     Args:
         scenario: Checked settings.
 
     Returns:
-        Lines to be shown at the start, see `tell_coverage`; none where there
-        are no rings, or they are not watched.
+        Lines to show at the start, see `tell_coverage`; empty if there are no
+        rings, or they are not watched.
     """
     if scenario.sensing != "tof" or not scenario.self_hits.enabled:
         return []

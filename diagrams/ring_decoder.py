@@ -1,4 +1,4 @@
-"""What decodes the frames of real rings, as a scenario wants it."""
+"""Makes the decoder for the frames of a scenario's real rings."""
 
 from tofssm_drake.diagrams.scenario import Scenario
 from tofssm_drake.hardware.ring_budget import RingBudget, calc_max_age
@@ -8,7 +8,7 @@ from tofssm_drake.hardware.ring_receiver import RingDecoder, RingLinkConfig
 def make_ring_budget(
     scenario: Scenario, control_period: float | None = None
 ) -> RingBudget:
-    """Returns what the rings' links may take, so that the law's T_R holds.
+    """Returns the limits of the rings' links with which the law's T_R holds.
 
     Args:
         scenario: Checked settings.
@@ -40,7 +40,7 @@ def make_ring_decoder(
     """Returns a decoder of the frames of the scenario's rings.
 
     Args:
-        scenario: Checked settings; rings, law and audit count.
+        scenario: Checked settings; uses rings, law and audit.
         config: Of the link; None: the default.
         control_period: Control tick, s; None: that of the scenario.
     """

@@ -1,4 +1,4 @@
-"""What rings or lidar see: the cell, posed by what the robot reports."""
+"""What rings or lidar see: the cell, posed from the robot's reports."""
 
 import dataclasses as dc
 
@@ -34,13 +34,13 @@ from tofssm_drake.sensing.ring_mount import find_ring_mount
 from tofssm_drake.sensing.tof_rings import TofRings, make_ring_bundles
 from tofssm_drake.sensing.vl53l1x import SensorErrors, draw_sensor_errors
 
-# Noise is drawn for so many scans at a time.
+# Noise is drawn for this many scans at a time.
 _NOISE_SCANS = 16
 
 
 @dc.dataclass(frozen=True, eq=False, kw_only=True)
 class RingWorld:
-    """The cell as the rings see it, and what one can ask it."""
+    """The cell as the rings see it, and its queries."""
 
     plant: MultibodyPlant
     """Robot, cell and products as registered with `scene_graph`."""
@@ -77,19 +77,19 @@ def add_ring_world(
     gripper_closed: OutputPort,
     products_placed: OutputPort,
 ) -> RingWorld:
-    """Poses the scene by what a robot reports and lets the sensors look at it.
+    """Poses the scene from a robot's report and adds the sensors.
 
     Exports the scans of the scenario's sensing: `scan_base` to `scan_tool`,
     `scan_lidar`, or none.
 
     Args:
-        builder: Of the Diagram that gets it all.
+        builder: Of the Diagram.
         scenario: Checked settings.
         scene_graph: From `make_scene`.
         plant: From `make_scene`.
         position_measured: The robot's joints, rad.
         gripper_closed: More than 0.5 is closed.
-        products_placed: How many.
+        products_placed: Their number.
     """
     report = {
         "position_measured": position_measured,
@@ -170,7 +170,7 @@ def make_ring_world(scenario: Scenario) -> Diagram:
 
 
 def _show_robot_and_products(builder, layout, scene_graph, plant, report):
-    """Poses what is seen of robot and products from what the robot reports."""
+    """Poses the visible robot and products from the robot's report."""
     carrier = builder.AddNamedSystem(
         "products",
         ProductCarrier(

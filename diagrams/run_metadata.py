@@ -1,4 +1,4 @@
-"""What a reader of the record has to know of the run besides the numbers."""
+"""What a reader of the record must know about the run besides the numbers."""
 
 import importlib.metadata
 import math
@@ -41,7 +41,7 @@ def make_run_metadata(
     Args:
         scenario: The scenario as run.
         station: Its station.
-        robot_bodies: Names that the column `robot_body` counts.
+        robot_bodies: Names for the indices in the column `robot_body`.
     """
     return {
         "scenario": describe_scenario(scenario),
@@ -71,7 +71,7 @@ def make_run_metadata(
 
 
 def describe_scenario(scenario: Scenario) -> str:
-    """Returns a scenario as YAML, every setting written out."""
+    """Returns a scenario as YAML with every setting."""
     dumper = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
     return yaml.dump(dump_scenario(scenario), Dumper=dumper, sort_keys=False)
 
@@ -98,7 +98,7 @@ def _describe_rings(scenario, station):
 
 
 def _calc_latency(scenario):
-    """Returns the worst latency's parts with the scenario's sensing, s."""
+    """Returns the parts of the worst-case latency of the sensing, s."""
     if scenario.sensing == "ideal":
         integration, wait, delivery = (
             0.0,
@@ -128,10 +128,10 @@ def _calc_latency(scenario):
 
 
 def _find_link_offsets(scenario, station):
-    """Returns how far from each link's centre the surface is, m.
+    """Returns the distance of each link's surface from its centre, m.
 
-    For a lidar it is the workspace in whose middle it stands, unless its
-    distance rule has taken it off already.
+    For a lidar it is the radius of the workspace around it, unless its
+    distance rule has already subtracted it.
     """
     if scenario.sensing == "lidar":
         return {LIDAR[0]: scenario.lidar_separation.threshold_offset}

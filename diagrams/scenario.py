@@ -1,4 +1,4 @@
-"""What a run is made of: the Scenario, and how it is read from YAML."""
+"""The Scenario of a run, and how it is read from YAML."""
 
 import dataclasses as dc
 import difflib
@@ -36,7 +36,7 @@ SENSINGS = ("tof", "ideal", "lidar")
 
 @dc.dataclass(kw_only=True)
 class NoHuman:
-    """Nobody walks in the cell."""
+    """Nobody is in the cell."""
 
     def check(self, where: str) -> None:
         """There is nothing to check."""
@@ -44,12 +44,12 @@ class NoHuman:
 
 @dc.dataclass(kw_only=True)
 class Scenario:
-    """Everything that decides a run; the same scenario gives the same run."""
+    """All settings of a run; the same scenario gives the same run."""
 
     # Seed of every random draw: the sensors' constant errors and their noise.
     random_seed: int = 0
 
-    # Longest simulated time, s. A run ends earlier when the last product is
+    # Longest simulated time, s. A run ends earlier if the last product is
     # placed and the arm is back.
     simulation_duration: float = 300.0
 
@@ -75,29 +75,28 @@ class Scenario:
         default_factory=GeneratedWalk
     )
 
-    # What the monitor watches the person with: "tof", the rings on the arm;
-    # "ideal", the person's true surface, as motion capture would know it;
-    # "lidar", a planar lidar at the robot's base. The settings of the others
-    # have no effect.
+    # How the monitor senses the person: "tof", the rings on the arm; "ideal",
+    # the person's true surface, as motion capture would know it; "lidar", a
+    # planar lidar at the robot's base. Settings of the others have no effect.
     sensing: str = "tof"
 
-    # The Time-of-Flight sensors and how a ring samples.
+    # The Time-of-Flight sensors and the sampling of a ring.
     rings: TofRingConfig = dc.field(default_factory=TofRingConfig)
 
     # First sample of the rings base, elbow and tool, s; 0 is after one period.
     # *Assumed*: all are triggered together; rings of equal phase are one
-    # system and cost one cast. Other values let them take turns.
+    # system and cost one cast. Different values stagger them.
     ring_phases: list[float] = dc.field(default_factory=lambda: [0.0, 0.0, 0.0])
 
-    # Sensors that are known to be dead, by ring: `{tool: [3]}`. They are
-    # dropped, and the robot is never faster than reduced. Without this a
-    # sensor that fails stops the robot.
+    # Sensors known to be dead, by ring: `{tool: [3]}`. They are ignored, and
+    # the robot is never faster than reduced. A failed sensor that is not
+    # listed stops the robot.
     dead_sensors: dict[str, list[int]] = dc.field(default_factory=dict)
 
     # Which readings are the robot's own.
     mask: OcclusionMaskConfig = dc.field(default_factory=OcclusionMaskConfig)
 
-    # How the rings are watched by what they see of the robot itself.
+    # How the rings are verified by what they see of the robot itself.
     self_hits: SelfHitConfig = dc.field(default_factory=SelfHitConfig)
 
     # From readings to distance and directed speeds.
@@ -108,8 +107,8 @@ class Scenario:
         default_factory=IdealSeparationConfig
     )
 
-    # The lidar. Its height counts from the floor and must be below what the
-    # robot reaches.
+    # The lidar. Its height is above the floor and must be below the robot's
+    # reach.
     lidar: Lidar2dConfig = dc.field(default_factory=Lidar2dConfig)
 
     # From the lidar's scans to distance and directed speeds.
@@ -120,14 +119,14 @@ class Scenario:
     # The safety law.
     ssm: SsmConfig = dc.field(default_factory=SsmConfig)
 
-    # What the run is audited with; it changes nothing of the run.
+    # Assumptions of the audit; they do not affect the run.
     audit: AuditConfig = dc.field(default_factory=AuditConfig)
 
     def check(self, where: str = "") -> None:
-        """Raises UserError unless every setting makes sense.
+        """Raises UserError unless every setting is valid.
 
         Args:
-            where: Name of the scenario in what the user wrote.
+            where: Name of the scenario in the user's input.
         """
         at = f"{where}." if where else ""
         # Drake's generator takes a seed modulo 2^32.
@@ -166,7 +165,7 @@ class Scenario:
         self._check_ticks(at)
 
     def _check_dead_sensors(self, at):
-        """Raises UserError unless there are such sensors, and others left."""
+        """Raises UserError unless these sensors exist and others are left."""
         n = self.sensors_per_ring
         for ring, sensors in self.dead_sensors.items():
             require(
@@ -182,7 +181,7 @@ class Scenario:
             )
 
     def _check_ticks(self, at):
-        """Raises UserError unless plant steps make up control ticks."""
+        """Raises UserError unless a control tick is whole plant steps."""
         tick = self.control_period
         steps = tick / self.robot.time_step
         require(
@@ -208,9 +207,9 @@ def get_links(scenario: Scenario) -> tuple[str, ...]:
 def make_law(scenario: Scenario) -> SsmConfig:
     """Returns the law's settings for the sensing.
 
-    A lidar's distances are measured from the base's axis. If they are taken
-    as they are, the law's constant distances grow by the radius of the
-    robot's workspace (paper, Table: C_dC = r_o + 0.3 m).
+    A lidar's distances are measured from the base's axis. If they are used as
+    they are, the law's constant distances grow by the radius of the robot's
+    workspace (paper, Table: C_dC = r_o + 0.3 m).
     """
     ssm = scenario.ssm
     if scenario.sensing != "lidar":
@@ -218,7 +217,7 @@ def make_law(scenario: Scenario) -> SsmConfig:
     offset = scenario.lidar_separation.threshold_offset
 
     def grow(distance):
-        # What is written in decimals stays it: 0.3 + 0.82 is 1.12.
+        # Exact in decimals: 0.3 + 0.82 is 1.12.
         return round(distance + offset, 12)
 
     return dc.replace(
@@ -237,12 +236,12 @@ def find_default_scenarios() -> pathlib.Path:
 
 
 def list_scenarios(filename: pathlib.Path | None = None) -> list[str]:
-    """Returns the names of the scenarios in a file, in its order.
+    """Returns the names of the scenarios in a file, in order.
 
     Names that begin with an underscore are building blocks of others.
 
     Raises:
-        UserError: The file cannot be read or is no YAML mapping.
+        UserError: The file cannot be read or is not a YAML mapping.
     """
     filename = filename or find_default_scenarios()
     node = parse_yaml(_read(filename), str(filename))
@@ -255,12 +254,12 @@ def load_scenario(
     name: str = "Default",
     text: str = "",
 ) -> Scenario:
-    """Reads a scenario: a named one from a file, then changes as text.
+    """Reads a named scenario from a file, then applies changes given as text.
 
     Args:
         filename: YAML file whose top-level keys are scenario names; None
             takes the scenarios that come with the package.
-        name: Which of them.
+        name: Name of the scenario.
         text: YAML of the settings to change, e.g. `{random_seed: 3}`.
 
     Returns:
@@ -268,7 +267,7 @@ def load_scenario(
 
     Raises:
         UserError: Something is unknown, misspelt, of the wrong type or out of
-            range; the message tells where and what would be right.
+            range; the message says where and what would be right.
     """
     filename = filename or find_default_scenarios()
     source = str(filename)
@@ -291,7 +290,7 @@ def change_scenario(scenario: Scenario, text: str, *, source: str) -> Scenario:
     """Returns a scenario with some settings changed, checked.
 
     Args:
-        scenario: What they are changed in; stays as it is.
+        scenario: The original; not changed.
         text: YAML of these settings; may be empty.
         source: Where the text is from, for the message.
 
@@ -307,10 +306,10 @@ def change_settings(settings, text: str, *, source: str, where: str = ""):
     """Returns settings with some of them changed, not yet checked.
 
     Args:
-        settings: A dataclass, which stays as it is.
-        text: YAML of what to change; may be empty.
+        settings: A dataclass; not changed.
+        text: YAML of the changes; may be empty.
         source: Where the text is from, for the message.
-        where: Path of keys that leads to the settings, for the message.
+        where: Path of keys to the settings, for the message.
 
     Raises:
         UserError: Something is unknown, misspelt or of the wrong type.
@@ -323,10 +322,10 @@ def change_settings(settings, text: str, *, source: str, where: str = ""):
 
 
 def dump_scenario(scenario: Scenario) -> dict:
-    """Returns a scenario as plain values, every setting written out.
+    """Returns a scenario as plain values, with every setting.
 
-    What YAML says by a tag (`human: !NoHuman {}`) is a key `kind` here. As
-    `load_scenario` reads that as well, the values give the same run again.
+    A tag in YAML (`human: !NoHuman {}`) becomes a key `kind`. `load_scenario`
+    reads that as well, so the values give the same run again.
     """
     text = yaml_dump_typed(scenario, schema=Scenario)
     values = yaml.load(text, Loader=_PlainLoader)
@@ -334,12 +333,12 @@ def dump_scenario(scenario: Scenario) -> dict:
     return values | {"human": {"kind": kind} | values["human"]}
 
 
-# The one in C is ten times faster; it is in all wheels of PyYAML.
+# The C version is ten times faster; all wheels of PyYAML have it.
 _SafeLoader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 
 
 class _PlainLoader(_SafeLoader):
-    """Reads a mapping with a tag as one without."""
+    """Reads a mapping with a tag like one without."""
 
 
 def _construct_tagged(loader, suffix, node):
@@ -373,5 +372,5 @@ def _load(source: str, node: yaml.Node, defaults):
         ValueError,
         yaml.YAMLError,
     ) as error:
-        # The check above should have found it and said it better.
+        # The check above should have found it, with a better message.
         raise UserError(f"{source}: {' '.join(str(error).split())}") from None

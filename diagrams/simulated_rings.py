@@ -1,4 +1,4 @@
-"""Rings in a simulated world around a robot that is elsewhere."""
+"""Rings in a simulated world around a robot that runs elsewhere."""
 
 from collections.abc import Callable, Iterator, Sequence
 import heapq
@@ -16,21 +16,21 @@ from tofssm_drake.hardware.ring_fault_injection import FaultInjector, RingFault
 from tofssm_drake.hardware.ring_frame import RingFrame
 from tofssm_drake.messages import RINGS
 
-# Longest times over which the robot's motion is carried on from its last
-# report, s: two of its control cycles and a little; and back from it, where a
-# busy computer wakes up late and the report is newer than what it is for.
+# Longest extrapolation of the robot's motion from its last report, s: slightly
+# more than two of its control cycles; and backwards, if a busy computer wakes
+# up late and the report is newer than needed.
 _CARRY_ON = 0.02
 _CARRY_BACK = 0.1
 
-# Events at a time happen once the time has gone past it.
+# An event happens only once its time has passed.
 _PAST = 1e-6
 
 
 class Report(Protocol):
-    """What is asked of a robot's report."""
+    """What is needed from a robot's report."""
 
     sequence: int
-    """-1: there was none yet."""
+    """-1: none yet."""
     time: float
     """Host's time of its arrival, s."""
     position: np.ndarray
@@ -40,22 +40,22 @@ class Report(Protocol):
     digital_outputs: int
     """Bits, or -1."""
     products_placed: int
-    """How many, or -1."""
+    """Number, or -1."""
 
 
 def carry_on(report: Report, now: float) -> np.ndarray:
-    """Returns where the joints are shortly after or before a report, rad, (6,).
+    """Returns the joints shortly after or before a report, rad, (6,).
 
     Args:
         report: The newest.
-        now: Host's time for which it is asked, s.
+        now: Host's time of interest, s.
     """
     age = min(max(now - report.time, -_CARRY_BACK), _CARRY_ON)
     return report.position + age * report.velocity
 
 
 def iterate_wake_times(scenario: Scenario) -> Iterator[float]:
-    """Yields when there is something to do, s: a sample, or scans to send.
+    """Yields the times of samples and of scans to send, s.
 
     Args:
         scenario: Checked settings.
@@ -76,10 +76,10 @@ def _iterate_times(first, period):
 
 
 class SimulatedRings:
-    """Three rings whose frames follow from a robot's reports.
+    """Three rings that look at a robot posed from its reports.
 
     Attributes:
-        sent: How many frames of each ring were sent.
+        sent: Number of frames sent of each ring.
     """
 
     def __init__(
@@ -95,11 +95,11 @@ class SimulatedRings:
         """Makes the world.
 
         Args:
-            scenario: Checked settings; rings, person, task and seed count.
+            scenario: Checked settings; uses rings, person, task and seed.
             ring_numbers: Numbers of the rings in the frames.
             gripper_output: Bit of the robot's outputs that closes the gripper.
             clocks: Of the rings' devices; None: they show the world's time.
-            faults: What goes wrong; their times are the world's.
+            faults: Faults to inject; their times are the world's.
             send: Called with each frame and whether to damage it on the way;
                 returns whether it left.
         """
@@ -124,7 +124,7 @@ class SimulatedRings:
         self.sent = dict.fromkeys(RINGS, 0)
 
     def _compile(self, context):
-        """Runs two periods in vain: the first call of a kernel is slow."""
+        """Runs two periods so that kernels are compiled."""
         for name, size in (
             ("position_measured", 6),
             ("gripper_closed", 1),
@@ -134,10 +134,10 @@ class SimulatedRings:
         Simulator(self._diagram, context).AdvanceTo(2.0 * self._period)
 
     def advance(self, time: float, report: Report, now: float) -> None:
-        """Lets the rings look at the world, and sends what they delivered.
+        """Advances the world, and sends the frames that the rings deliver.
 
         Args:
-            time: World's time, s; does not fall.
+            time: World's time, s, never decreasing.
             report: The robot's newest; there must be one.
             now: Host's time at the world's time, s.
         """
@@ -167,7 +167,7 @@ class SimulatedRings:
         self._deliver(time)
 
     def _deliver(self, time):
-        """Sends what is not held up any more."""
+        """Sends the frames that are due."""
         for ring, injector in zip(RINGS, self._injectors, strict=True):
             for delivery in injector.take(time):
                 if self._send(delivery.frame, delivery.is_damaged):

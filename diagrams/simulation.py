@@ -1,4 +1,4 @@
-"""Runs a workcell from its start to the end of its task."""
+"""Runs a workcell from the start to the end of its task."""
 
 import dataclasses as dc
 import time
@@ -24,10 +24,10 @@ class Progress:
     """Simulated time, s."""
     products_placed: int
     wall_time: float
-    """Time since the start on the wall's clock, s."""
+    """Wall time since the start, s."""
     real_time_factor: float
-    """Simulated over passed time since the end of the first step, in which
-    the compiled kernels are loaded, or compiled if it is the first run."""
+    """Simulated over wall time since the end of the first step, in which
+    kernels are loaded, or in the first run compiled."""
     finished: bool
     """The task is done, or the time is up."""
 
@@ -36,9 +36,9 @@ class Run:
     """One run of a workcell, advanced in steps.
 
     Args:
-        workcell: What to run.
+        workcell: The workcell.
         scenario: Its scenario: seed and longest duration.
-        real_time_rate: 1 runs no faster than the clock, for watching; 0 runs
+        real_time_rate: 1 runs no faster than real time, for watching; 0 runs
             as fast as possible.
     """
 
@@ -72,10 +72,10 @@ class Run:
         return self._context
 
     def advance(self) -> Progress:
-        """Runs on for 25 control ticks, or to the end, and tells how far."""
+        """Advances 25 control ticks, or to the end; returns the progress."""
         start = time.perf_counter()
         self._steps += 1
-        # From the count and not from the sum, so that no rounding gathers.
+        # From the count, not a sum, so that rounding errors do not add up.
         end = min(self._steps * self._step, self._duration)
         self._simulator.AdvanceTo(end)
         self._wall_time += time.perf_counter() - start
@@ -97,14 +97,14 @@ class Run:
         )
 
     def make_samples(self) -> Samples:
-        """Returns what was recorded so far."""
+        """Returns what has been recorded so far."""
         return self._workcell.recorder.make_samples(self._context)
 
 
 def make_simulator(diagram: Diagram, context: Context) -> Simulator:
     """Makes the Simulator of a Diagram without continuous state."""
     simulator = Simulator(diagram, context)
-    # There is nothing to integrate: the integrator that does least, with a
-    # step longer than any event interval.
+    # There is nothing to integrate: the cheapest integrator, with a step longer
+    # than any event interval.
     ResetIntegratorFromFlags(simulator, "explicit_euler", _LONG)
     return simulator

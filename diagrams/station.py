@@ -1,4 +1,4 @@
-"""The robot's side of the cell: what the monitor watches and slows down."""
+"""The robot's side of the cell, which the monitor watches and slows down."""
 
 import dataclasses as dc
 
@@ -16,7 +16,7 @@ from tofssm_drake.robot.sim_ur10 import make_sim_ur10
 
 @dc.dataclass(frozen=True, eq=False, kw_only=True)
 class Station:
-    """A station's Diagram and what one has to know to read its ports."""
+    """A station's Diagram and what is needed to read its ports."""
 
     diagram: Diagram
     plant: MultibodyPlant
@@ -26,7 +26,7 @@ class Station:
     avatar: HumanAvatar | None
     """The person of the port `skeleton`; None: nobody is there."""
     nominal_duration: float
-    """Time that the task takes at full speed, s."""
+    """Duration of the task at full speed, s."""
 
 
 def make_station(scenario: Scenario) -> Station:
@@ -49,12 +49,12 @@ def make_station(scenario: Scenario) -> Station:
         - geometry_query
         - skeleton
 
-    The monitor may look at the scans and at what the robot reports
-    (`position_measured` to `products_placed`). The last two ports are the
-    world's truth, for evaluation and display only.
+    The monitor may read the scans and the robot's report (`position_measured`
+    to `products_placed`). The last two ports are ground truth, for evaluation
+    and display only.
 
-    With the sensing `lidar` there is `scan_lidar` in the place of the rings'
-    scans, with `ideal` there are no scans at all.
+    With the sensing `lidar` there is `scan_lidar` in place of the rings' scans;
+    with `ideal` there are no scans.
 
     Args:
         scenario: Checked settings.

@@ -1,4 +1,4 @@
-"""Station and monitor in a loop, with the record beside them."""
+"""Station and monitor in a closed loop, and the record."""
 
 import dataclasses as dc
 import math
@@ -29,7 +29,7 @@ from tofssm_drake.visualization.state_light import StateLight
 
 @dc.dataclass(frozen=True, eq=False, kw_only=True)
 class Workcell:
-    """The closed loop and the parts of it that a run asks."""
+    """The closed loop and the parts of it that a run reads."""
 
     diagram: Diagram
     station: Station
@@ -134,7 +134,7 @@ def _make_truth(scenario, station):
             "kinematics": make_lidar_kinematics(
                 scenario.lidar, RingKinematics.from_plant(station.plant)
             ),
-            # What the distance rule takes off, so that both compare.
+            # What the distance rule subtracts, so that the two are comparable.
             "link_offset": config.workspace_radius - config.threshold_offset,
         }
     return TruthModel(

@@ -1,8 +1,8 @@
-"""Finds what is wrong in a scenario's YAML before Drake's loader reads it.
+"""Finds errors in a scenario's YAML before Drake's loader reads it.
 
-Drake's typed loader rejects a bad document but does not tell where. This
-check walks the document beside the schema and tells the line, the path of the
-key and what would be right.
+Drake's typed loader rejects a bad document but does not say where. This check
+compares the document with the schema and reports the line, the path of the key
+and what would be right.
 """
 
 import collections.abc
@@ -21,7 +21,7 @@ from tofssm_drake.errors import UserError
 _SCALARS = {
     bool: ("bool",),
     int: ("int",),
-    # YAML 1.1 takes 1e-3 for text, Drake's loader does not.
+    # YAML 1.1 reads 1e-3 as text, but Drake's loader does not.
     float: ("float", "int", "str"),
     str: ("str",),
 }
@@ -45,10 +45,10 @@ def parse_yaml(text: str, source: str) -> yaml.MappingNode:
 
     Args:
         text: the document; empty means no settings.
-        source: what to call it in an error: a file name or an option.
+        source: its name in an error: a file name or an option.
 
     Raises:
-        UserError: it is not YAML, or not a mapping, or a key is no word or
+        UserError: it is not YAML, or not a mapping, or a key is not a word or
             occurs twice.
     """
     try:
@@ -77,11 +77,11 @@ def _check_keys(node, source, above, done):
     """Raises UserError unless every key is a word and occurs once.
 
     Args:
-        node: With all below it.
-        source: What to call the document.
-        above: The nodes it is in; an alias may lead back to one of them.
-        done: Nodes by identity that are right; each is checked once, however
-            many aliases lead to it. Written.
+        node: Checked with everything below it.
+        source: Name of the document.
+        above: The nodes around it; an alias may lead back to one of them.
+        done: Correct nodes by identity; each is checked once, however many
+        aliases lead to it. Changed.
     """
 
     def fail(place, problem):
@@ -117,7 +117,7 @@ def _check_keys(node, source, above, done):
 
 
 def _tag_kinds(node, seen):
-    """Turns a key `kind: Name`, which JSON can say as well, into `!Name`."""
+    """Turns a key `kind: Name`, which JSON can have as well, into `!Name`."""
     if id(node) in seen or isinstance(node, yaml.ScalarNode):
         return
     seen.add(id(node))
@@ -136,7 +136,7 @@ def _tag_kinds(node, seen):
 
 
 def get_children(node: yaml.MappingNode) -> dict[str, yaml.Node]:
-    """Returns a mapping's values by key, merges (`<<`) resolved."""
+    """Returns a mapping's values by key, with merges (`<<`) resolved."""
     own, merged = {}, {}
     for key, value in node.value:
         if key.tag == _MERGE:
@@ -159,8 +159,8 @@ def check_yaml(
         node: the document's node.
         schema: what the node must be: a dataclass, a union of dataclasses, a
             scalar type, list[T], dict[str, T] or np.ndarray.
-        source: what to call the document in an error.
-        where: path of keys that leads to the node.
+        source: the document's name in an error.
+        where: path of keys to the node.
 
     Raises:
         UserError: unknown key (with the nearest known one) or wrong type.
@@ -234,13 +234,13 @@ def check_yaml(
         if schema in (int, float) and not _DECIMAL.fullmatch(node.value):
             fail(
                 f"must be {_WORDS[schema]} in plain decimals, not "
-                f"{node.value!r}, which YAML takes for "
+                f"{node.value!r}, which YAML reads as "
                 f"{yaml.safe_load(node.value)}"
             )
 
 
 def _is_number(node, kind):
-    """Whether a scalar node is a finite number."""
+    """Returns whether a scalar node is a finite number."""
     try:
         value = node.value if kind == "str" else yaml.safe_load(node.value)
         return not node.style and math.isfinite(float(value))
@@ -249,7 +249,7 @@ def _is_number(node, kind):
 
 
 def _choose(node, members, fail):
-    """Returns the union's member that the node's tag names; None for null."""
+    """Returns the union's member named by the node's tag; None for null."""
     kind = node.tag.rpartition(":")[2]
     if kind == "null" and type(None) in members:
         return None

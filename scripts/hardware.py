@@ -21,7 +21,7 @@ import tofssm_drake.scripts.options as options
 from tofssm_drake.scripts.simulate import override
 
 _VIRTUAL = "virtual"
-# The robot must start this near to the scenario's program, rad.
+# The robot must start this close to the scenario's program, rad.
 _NEAR_PROGRAM = 0.5
 
 
@@ -135,8 +135,8 @@ def hardware(
 ) -> int:
     """Slow a real robot down when a person is near.
 
-    Not a safety function: see docs/robot_link.md. Whatever ends the run sets
-    the robot's speed slider to 0.
+    Not a safety function: see docs/robot_link.md. However the run ends, the
+    robot's speed slider is set to 0.
     """
     require(
         0.0 < wait <= 3600.0,
@@ -211,7 +211,7 @@ def _check_rings(rings, **virtual_only):
 
 
 def _make_slider_config(minimum_fraction, slider_limit, scenario):
-    """Returns how to use the slider, checked; blames the options."""
+    """Returns checked settings of the slider; errors name the options."""
     config = SliderConfig(
         minimum_fraction=minimum_fraction, operator_limit=slider_limit
     )

@@ -1,4 +1,4 @@
-"""`tofssm hardware-demo`: robot, rings and monitor, a process each."""
+"""`tofssm hardware-demo`: robot, rings and monitor, each in a process."""
 
 from collections.abc import Iterator
 import contextlib
@@ -23,9 +23,9 @@ from tofssm_drake.scripts.simulate import (
 )
 
 _HOST = "127.0.0.1"
-# One wait for the monitor, then signals are looked at, s.
+# One wait for the monitor, s; then signals are checked.
 _WAIT = 0.1
-# A process that does not end within that time is killed, s.
+# A process that does not end within this time, s, is killed.
 _FAREWELL = 20.0
 
 
@@ -106,10 +106,10 @@ def _find_port(kind=socket.SOCK_DGRAM) -> int:
 
 @contextlib.contextmanager
 def _spawn(*arguments, **options) -> Iterator[subprocess.Popen]:
-    """Starts a process of ours and ends it afterwards.
+    """Starts one of our processes and ends it afterwards.
 
-    In a session of its own: Ctrl-C would else end robot and rings before the
-    monitor has stopped the robot.
+    It gets its own session: otherwise Ctrl-C would end robot and rings before
+    the monitor has stopped the robot.
     """
     process = subprocess.Popen(
         [
@@ -143,12 +143,12 @@ def _start(*arguments) -> Iterator[None]:
 
 
 def _wait(process, stopped) -> int:
-    """Waits for the end; hands on the first signal that comes."""
-    is_told = False
+    """Waits for the end; passes on the first signal."""
+    is_passed_on = False
     while True:
         try:
             return process.wait(_WAIT)
         except subprocess.TimeoutExpired:
-            if stopped and not is_told:
-                is_told = True
+            if stopped and not is_passed_on:
+                is_passed_on = True
                 process.send_signal(stopped[0])

@@ -45,9 +45,9 @@ from tofssm_drake.scripts.simulate import (
 )
 
 _TOO_EARLY = "interrupted before the start"
-# An echo of the slider below that is 0.
+# An echo of the slider below this is 0.
 _AT_ZERO = 0.005
-# So long a refusal waits for a robot that it may put to 0, s.
+# How long a refusal waits for a robot in order to set its slider to 0, s.
 _RECONNECT = 1.0
 
 _NO_PRIORITY = (
@@ -55,7 +55,7 @@ _NO_PRIORITY = (
     "docs/hardware.md)"
 )
 
-# What a summary tells only where it is known where people truly were.
+# Parts of a summary that need the true positions of people.
 _OF_A_PERSON = (
     "contact_while_moving_events",
     "contact_while_moving_max_mps",
@@ -64,7 +64,7 @@ _OF_A_PERSON = (
     "stop_due_s",
 )
 
-# Each message is one line, however long, and printed as it is.
+# Each message is one line, however long, and printed unchanged.
 _console = Console(
     stderr=True, highlight=False, soft_wrap=True, markup=False, emoji=False
 )
@@ -72,12 +72,12 @@ _console = Console(
 
 @dc.dataclass(frozen=True, kw_only=True)
 class SessionSettings:
-    """What to run and on what; all of it is checked."""
+    """What to run, and on what; checked."""
 
     scenario: Scenario
     scenario_name: str
     addresses: tuple[UdpAddress | SerialAddress, ...]
-    """Of the rings; none: they are simulated around the real robot."""
+    """Of the rings; empty: they are simulated around the real robot."""
     robot: RtdeConfig
     slider: SliderConfig
     checks: RobotChecks
@@ -86,11 +86,11 @@ class SessionSettings:
     max_deviation: float
     """How far from the program the robot may start, rad."""
     control_period: float | None
-    """s; None: a tick for each report."""
+    """s; None: one tick per report."""
     wait: float
     """Longest wait for robot and rings, s."""
     duration: float
-    """s; 0: until all is placed."""
+    """s; 0: until all products are placed."""
     in_real_time: bool
     with_meshcat: bool
     record: Path | None
@@ -107,13 +107,13 @@ class SessionSettings:
 def run_session(settings: SessionSettings) -> int:
     """Runs the monitor until something ends it.
 
-    Whatever ends it puts the robot's speed slider to 0.
+    However it ends, the robot's speed slider is set to 0.
 
     Returns:
         The exit code.
 
     Raises:
-        UserError: Robot or rings are not there or not as expected.
+        UserError: Robot or rings are missing or not as expected.
         KeyboardInterrupt: Stopped before the start.
     """
     with contextlib.ExitStack() as stack:
@@ -161,12 +161,12 @@ def run_session(settings: SessionSettings) -> int:
 
 
 def _try_out(settings):
-    """Makes the loop once before a robot is stopped for it.
+    """Makes the loop once, before a robot is stopped for it.
 
-    It finds what cannot be made, and compiles the kernels.
+    It finds bad settings and compiles the kernels.
 
     Returns:
-        What self-hits cannot verify, line by line.
+        Lines that say what self-hits cannot verify.
     """
     HardwareLoop(scenario=settings.scenario, virtual_rings=settings.is_virtual)
     return tell_self_hit_coverage(settings.scenario)
@@ -194,14 +194,14 @@ def _open_robot(stack, settings, recorder):
         settings.robot,
         tap=None if recorder is None else recorder.add_robot_bytes,
     )
-    # Closing puts the slider to 0.
+    # Closing sets the slider to 0.
     stack.enter_context(robot)
     stack.enter_context(_tell_slider(robot, settings))
     return robot
 
 
 def _hold_slider(settings, robot):
-    """Reads what a person allows, then puts the slider to its lowest."""
+    """Reads the limit set by a person, then sets the slider to its lowest."""
     slider = settings.slider
     slider.operator_limit = find_operator_limit(
         slider, robot.get_report().target_speed_fraction
@@ -245,7 +245,7 @@ def _make_run(settings, loop, robot, link, recorder):
 
 
 def _begin(settings, loop, robot, first, recorder):
-    """Checks the robot's first report, records and says what is run."""
+    """Checks the robot's first report; records and prints what is run."""
     plant = loop.workcell.station.plant
     scenario, checks = settings.scenario, settings.checks
     require_ready(
@@ -300,7 +300,7 @@ def _run(settings, run, robot, link, stopped):
                     end = _End("interrupted", 130)
                     break
                 if result is not None:
-                    # The number may be that of the program's run before.
+                    # The number may be left from the program's previous run.
                     has_begun = has_begun or not result.task_done
                     if has_begun and result.task_done:
                         end = _End("all products are placed", 0)
@@ -315,7 +315,7 @@ def _run(settings, run, robot, link, stopped):
             text = f"{type(error).__name__}: {' '.join(text.split())}"
         end = _End(f"stopped: {text}", 1)
         if stopped:
-            # Something went wrong while it was being stopped.
+            # Stopping it has failed.
             end = _End("interrupted", 130)
     end.result = result
     end.wall_time = time.monotonic() - begin
@@ -333,7 +333,7 @@ def _ending(status, robot):
 
 
 def describe_robot(status: RtdeStatus, control_period: float) -> str:
-    """Returns the line that tells what robot answered, and the tick.
+    """Returns the line about the robot that answered, and the tick.
 
     Args:
         status: Of the connection.
@@ -348,14 +348,14 @@ def describe_robot(status: RtdeStatus, control_period: float) -> str:
 
 @contextlib.contextmanager
 def _made_folder(folder):
-    """Makes a folder, and takes it away if that was in vain."""
+    """Makes a folder; removes it afterwards if it is empty."""
     is_new = not folder.exists()
     make_folder(folder)
     try:
         yield
     except BaseException:
         if is_new:
-            # What is not empty stays.
+            # A folder with content stays.
             with contextlib.suppress(OSError):
                 folder.rmdir()
         raise
@@ -363,14 +363,14 @@ def _made_folder(folder):
 
 @contextlib.contextmanager
 def _tell_slider(robot, settings):
-    """Adds what became of the slider to what ends a run before its start."""
+    """Adds the slider's state to an error that ends a run before its start."""
     try:
         yield
     except (UserError, KeyboardInterrupt) as error:
         if robot.get_report().sequence < 0:
             # There was no robot.
             raise
-        # While the twin was made the connection may have been lost.
+        # The connection may have been lost while the twin was made.
         robot.wait_for_report(
             after=robot.get_report().sequence, timeout=_RECONNECT
         )
@@ -409,7 +409,7 @@ def _write_report(settings, loop, end, coverage):
         ),
     )
     if not settings.is_virtual:
-        # Nothing is known of where people truly were.
+        # The true positions of people are unknown.
         samples.metadata["human"] = "not known: real rings"
         summary |= {
             "person_is_known": False,

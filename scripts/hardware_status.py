@@ -1,7 +1,7 @@
-"""What `tofssm hardware` tells while it runs: lines, and one that stays.
+"""What `tofssm hardware` prints while it runs: messages and a status line.
 
-A thread writes it. A terminal that is held (Ctrl-S, a slow network) holds the
-thread and not the loop that the robot waits for.
+A thread writes it. A blocked terminal (Ctrl-S, a slow network) blocks the
+thread, not the loop that the robot waits for.
 """
 
 import collections
@@ -19,26 +19,26 @@ from tofssm_drake.hardware.ring_link import RingConnection, RingLinkStatus
 from tofssm_drake.hardware.robot_connection import RobotConnection
 from tofssm_drake.messages import RINGS, RobotReport, RobotState
 
-# Between two looks at what is new, s.
+# Between two updates, s.
 _PERIOD = 0.2
-# A stop that is over is told when it has been over for so long, s: near a
+# The end of a stop is reported after it has lasted this long, s: near a
 # threshold the state may change with each scan.
 _SETTLE = 1.0
-# Waits for a terminal that is held at the end, s.
+# Longest wait for a blocked terminal at the end, s.
 _FAREWELL = 1.0
-# Lines that wait for a terminal that is held.
+# Most lines that wait for a blocked terminal.
 _WAITING = 100
 
 
 class HardwareStatus:
-    """Tells of a run; a context manager.
+    """Prints the status of a run; a context manager.
 
     Args:
         robot: The connection to the robot.
         link: The connection to the rings; None: they are virtual.
         dry_run: Whether nothing is written, so that the slider cannot obey.
-        stream: Where to; None: stderr. A terminal also gets a line that
-            stays and is always new.
+        stream: Where to print; None: stderr. A terminal also gets a status
+            line, which is updated in place.
     """
 
     def __init__(
@@ -72,11 +72,11 @@ class HardwareStatus:
         self._thread.join(_FAREWELL)
 
     def end(self) -> None:
-        """Lets the thread end; what becomes of the links is told no more."""
+        """Ends the thread; later problems of the links are not printed."""
         self._done.set()
 
     def show(self, result: TickResult | None) -> None:
-        """Takes what is new; returns at once."""
+        """Takes the newest result; returns at once."""
         if result is None or result is self._result:
             return
         self._result = result
@@ -85,7 +85,7 @@ class HardwareStatus:
             self._lines.append(line)
 
     def _run(self):
-        # A terminal that is gone is no reason for anything.
+        # A terminal that is gone must not affect the run.
         with contextlib.suppress(OSError, ValueError):
             while not self._done.wait(_PERIOD):
                 self._write()
@@ -106,7 +106,7 @@ class HardwareStatus:
         while self._lines:
             text += self._lines.popleft() + "\n"
         if is_terminal:
-            # Over what stood there, as wide as the terminal is now.
+            # Overwrites the line, as wide as the terminal is now.
             text = "\r\x1b[K" + text
             width = shutil.get_terminal_size().columns
             if self._result is not None:
@@ -123,12 +123,12 @@ class HardwareStatus:
             now=time.monotonic(),
             missed_before=self._missed,
             dry_run=self._dry_run,
-            # The last column may break the line.
+            # A character in the last column may break the line.
             width=width - 1,
         )
 
     def _find_problem(self, who, problem):
-        """Says once what is wrong with a link, and when it is not."""
+        """Reports once what is wrong with a link, and its recovery."""
         if problem != self._problems[who]:
             self._problems[who] = problem
             self._lines.append(f"{who}: {problem or 'all is well again'}")
@@ -137,7 +137,7 @@ class HardwareStatus:
 class Changes:
     """Finds which ticks are worth a line.
 
-    A stop is told at once, its end when it has lasted for a second: near a
+    A stop is reported at once, its end after it has lasted for a second: near a
     threshold the state may change with each scan.
 
     Args:
@@ -146,13 +146,13 @@ class Changes:
 
     def __init__(self, *, dry_run: bool):
         self._dry_run = dry_run
-        self._told = None
+        self._reported = None
         self._health = None
         self._stopped = False
         self._since = -math.inf
 
     def find(self, result: TickResult) -> str:
-        """Returns the line for a tick; empty: nothing is new.
+        """Returns the line for a tick; empty: nothing new.
 
         Args:
             result: Of the next tick.
@@ -162,14 +162,14 @@ class Changes:
             self._since = result.time
         elif result.time - self._since >= _SETTLE:
             self._stopped = False
-        told = (self._stopped, result.problem)
+        news = (self._stopped, result.problem)
         if not self._dry_run:
-            # Numbers come and go.
+            # Numbers keep changing.
             reason = re.sub(r"[0-9.]+", "", result.slider.reason)
-            told = (*told, result.slider.phase, reason)
-        if told == self._told:
+            news = (*news, result.slider.phase, reason)
+        if news == self._reported:
             return ""
-        self._told = told
+        self._reported = news
         health = describe_health(result, dry_run=self._dry_run)
         if health == self._health:
             return ""
@@ -201,21 +201,20 @@ def describe_status(
     dry_run: bool = False,
     width: int = 1000,
 ) -> str:
-    """Returns the line that stays, no wider than the terminal.
+    """Returns the status line, no wider than the terminal.
 
-    State, nearest ring and distance, speed fraction commanded and echoed,
-    ages of the robot's report and of what the rings measured, gaps (packages
-    and frames that never came), sensors that are faulted or declared dead,
-    and what else there is room for.
+    State, nearest ring and distance, speed fraction commanded and echoed, ages
+    of the robot's report and of the rings' samples, gaps (lost packages and
+    frames), sensors that are faulted or declared dead, and whatever else fits.
 
     Args:
         result: Of the newest tick.
         report: The robot's newest.
         rings: Of the link; None: they are virtual.
         now: Host's time, s.
-        missed_before: Packages that were missed before the run.
+        missed_before: Packages missed before the run.
         dry_run: Whether nothing is written.
-        width: Characters that there is room for.
+        width: Of the terminal, characters.
     """
     distance = result.separation.distance
     nearest = int(distance.argmin())
@@ -248,7 +247,7 @@ def describe_status(
 
 
 def _describe_sensors(result):
-    """Returns what is wrong with which ring's sensors; empty: nothing is."""
+    """Returns what is wrong with the rings' sensors; empty: nothing."""
     separation = result.separation
     return "; ".join(
         f"{ring} {problem}"

@@ -1,4 +1,4 @@
-"""`tofssm simulated-rings`: rings around a robot, to try things out with."""
+"""`tofssm simulated-rings`: simulated rings around a robot, for tests."""
 
 import dataclasses as dc
 import time
@@ -29,7 +29,7 @@ from tofssm_drake.scripts.simulate import (
     override,
 )
 
-# Each message is one line, however long, and printed as it is.
+# Each message is one line, however long, and printed unchanged.
 _console = Console(
     stderr=True, highlight=False, soft_wrap=True, markup=False, emoji=False
 )
@@ -79,8 +79,8 @@ def simulated_rings(
     """Simulate three rings around a running robot, and send their frames.
 
     The rings see the cell, the products, a walking person, and the arm where
-    the robot reports it to be. The line that is printed says where the frames
-    go; they start once the robot has reported.
+    the robot reports it to be. It prints a line that says where the frames go;
+    they start once the robot has reported.
     """
     require(
         (to is None) == pty,
@@ -148,7 +148,7 @@ def simulated_rings(
 
 @dc.dataclass
 class _Run:
-    """The loop, until it is stopped or the time is over."""
+    """The loop, until it is stopped or the time has passed."""
 
     rings: SimulatedRings
     robot: RtdeClient
@@ -166,7 +166,7 @@ class _Run:
         for wake_time in wake_times:
             if self.duration and wake_time > self.duration:
                 return
-            # No longer than a period, so a signal need not interrupt it.
+            # No longer than a period, so signals need not interrupt it.
             time.sleep(max(start + wake_time - time.monotonic(), 0.0))
             if self.stopped:
                 return
@@ -176,7 +176,7 @@ class _Run:
             )
 
     def _tell(self):
-        """Says once what is wrong with the robot, and when it is not."""
+        """Prints once what is wrong with the robot, and its recovery."""
         problem = self.robot.get_status().problem
         if problem not in (self.problem, "connecting"):
             _console.print(f"robot: {problem or 'reports'}")

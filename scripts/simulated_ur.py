@@ -1,4 +1,4 @@
-"""`tofssm simulated-ur`: a robot controller to try things out on."""
+"""`tofssm simulated-ur`: a simulated robot controller, for tests."""
 
 from typing import Annotated
 
@@ -13,7 +13,7 @@ from tofssm_drake.robot.twin import make_cell_plant
 import tofssm_drake.scripts.options as options
 from tofssm_drake.scripts.simulate import catch_stop, interrupt_on_stop
 
-# By the setting that comes from it.
+# Option by setting.
 _OPTIONS = {
     "robot.series": "--series",
     "robot.start": "--start",
@@ -135,20 +135,20 @@ def simulated_ur(
 
 
 def _make_robot(config):
-    """Returns a robot that needs no compiler any more."""
+    """Returns a robot whose kernels are compiled."""
     kinematics = RingKinematics.from_plant(make_cell_plant())
     robot = SimulatedUr(
         config=config,
         path=make_program_path(config.program, kinematics),
         kinematics=kinematics,
     )
-    # Compiles what the first cycle needs, so that the clock starts steady.
+    # Compiles what the first cycle needs, so that its timing is steady.
     robot.step()
     return robot
 
 
 def describe(server: RtdeServer) -> str:
-    """Returns the line that tells where a simulated robot can be reached."""
+    """Returns the line that says where a simulated robot can be reached."""
     host, port = server.address
     line = f"simulated UR10, {server.robot.rate} Hz, RTDE at {host}:{port}"
     if server.dashboard_address is None:

@@ -183,9 +183,9 @@ class LinkWatch:
     least host minus device time in it, s."""
     figures: LinkFigures = dc.field(default_factory=LinkFigures)
     """Newest."""
-    told: str = ""
+    last_problem: str = ""
     """What was wrong last."""
-    told_time: float = -np.inf
+    problem_time: float = -np.inf
     """When that was, s."""
     problem: str = ""
     """What is, or within the last window was, wrong; empty: nothing."""
@@ -194,7 +194,9 @@ class LinkWatch:
 def restart_watch(watch: LinkWatch) -> LinkWatch:
     """Returns the watch after a restart of the device: keeps what was wrong."""
     return LinkWatch(
-        told=watch.told, told_time=watch.told_time, problem=watch.problem
+        last_problem=watch.last_problem,
+        problem_time=watch.problem_time,
+        problem=watch.problem,
     )
 
 
@@ -222,16 +224,16 @@ def update_watch(
     blocks = _add_to_blocks(watch.blocks, timing, 0.5 * budget.window)
     figures = _measure(totals, calc_clock_error(blocks), budget)
     found = "; ".join(find_problems(figures, budget))
-    told = found or watch.told
-    told_time = timing.arrival if found else watch.told_time
-    is_over = timing.arrival - told_time >= budget.window
+    last_problem = found or watch.last_problem
+    problem_time = timing.arrival if found else watch.problem_time
+    is_over = timing.arrival - problem_time >= budget.window
     return LinkWatch(
         totals=totals,
         blocks=blocks,
         figures=figures,
-        told=told,
-        told_time=told_time,
-        problem="" if is_over else told,
+        last_problem=last_problem,
+        problem_time=problem_time,
+        problem="" if is_over else last_problem,
     )
 
 
@@ -349,8 +351,8 @@ def _measure_sensors(old, new, period, window):
     new samples; lost frames do not count. A sensor that was just started takes
     time to its first sample, and is counted only after half a window.
     """
-    fresh, idle, told, told_ms = new.samples - old.samples
+    fresh, idle, last_problem, told_ms = new.samples - old.samples
     answered = period * (fresh + idle)
     counted = answered / np.maximum(fresh, 1)
     counted[(fresh == 0) | (answered < 0.5 * window)] = 0.0
-    return np.maximum(counted, 1e-3 * told_ms / np.maximum(told, 1))
+    return np.maximum(counted, 1e-3 * told_ms / np.maximum(last_problem, 1))

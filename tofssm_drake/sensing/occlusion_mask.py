@@ -45,49 +45,49 @@ from tofssm_drake.sensing.vl53l1x import (
 class OcclusionMaskConfig:
     """Which readings count as the robot's own."""
 
-    # False: nothing is masked, the robot stops at the sight of itself.
+    # False: nothing is masked, and the robot stops when it sees itself.
     enabled: bool = True
 
     # Standard deviation of a reading on the robot or its cell, m: readings
     # within 3 sigma of the expected ones are masked. 3 sigma covers the
-    # datasheet's +-25 mm with 5 mm to spare for a sensor whose constant error
-    # is at its bound.
+    # datasheet's +-25 mm, plus 5 mm for a sensor whose constant error is at
+    # its bound.
     sigma: float = 0.010
 
-    # Rays that stand for a sensor's cone; 0: as many as the ring's.
+    # Rays that represent a sensor's cone; 0: as many as the ring's.
     rays_per_sensor: int = 0
 
     # The mask also looks this far beyond the edge of a sensor's cone, deg
-    # (*assumed*): what the cone just grazes is seen or not, near or far, by
-    # the last degree of a mounting and the last millisecond of a clock. 0:
-    # not beyond.
+    # (*assumed*): whether and where the cone grazes something depends on the
+    # last degree of a mounting and the last millisecond of a clock. 0: not
+    # beyond.
     edge_margin_deg: float = 1.0
 
-    # The robot is also looked at as it was this long before and after a
-    # sample, s (*assumed*: half a control tick). Clocks, an integration that
-    # takes its time, and a simulated world that stands still for a plant step
-    # leave that open. 0: only at the sample's own time.
+    # The robot is also looked at where it was this long before and after a
+    # sample, s (*assumed*: half a control tick), since clocks, integration
+    # time and the plant steps of a simulated world leave that uncertain. 0:
+    # only at the sample's own time.
     time_margin: float = 0.004
 
     # Below this distance a sensor detects but cannot measure, m: such a
-    # target is as near as possible.
+    # target counts as being as near as possible.
     min_range: float = 0.040
 
     # A valid distance beyond this is implausible, m: the sensors' short mode
-    # measures up to 1.36 m, and 0.09 m more leave room for offset, scale and
-    # noise at that distance.
+    # measures up to 1.36 m; 0.09 m more allow for offset, scale and noise at
+    # that distance.
     max_range: float = 1.45
 
-    # What a sensor saw before it failed, or stopped seeing it.
+    # How long obstacles are remembered that a sensor no longer sees.
     memory: SensorMemoryConfig = dc.field(default_factory=SensorMemoryConfig)
 
-    # A sample older than this is stale and the sensor faulted, s (*assumed*:
+    # If its sample is older than this, s, a sensor is faulted (*assumed*:
     # three periods of a ring).
     max_age: float = 0.072
 
     @property
     def tolerance(self) -> float:
-        """By how much the expected interval is widened to each side, m."""
+        """Widening of the expected interval to each side, m."""
         return 3.0 * self.sigma
 
     def check(self, where: str) -> None:
@@ -109,7 +109,7 @@ def make_mask_bundles(
     caster: RayCaster,
     mounts: Sequence[RingMount],
 ) -> RayBundles:
-    """Makes the rays of all rings' masks, cast on the twin in one go.
+    """Makes the rays of all rings' masks, cast together on the twin.
 
     Args:
         config: number of rays, tolerance.
@@ -136,9 +136,9 @@ def make_proof_bundles(
     caster: RayCaster,
     mounts: Sequence[RingMount],
 ) -> RayBundles:
-    """Makes the rays that tell where a sensor must see the robot.
+    """Makes the rays for where a sensor must see the robot.
 
-    As those of the mask, in a cone that is narrower than the sensor's by
+    Like those of the mask, but in a cone narrower than the sensor's by
     `edge_margin_deg` on each side: what its edge grazes need not be seen.
     """
     narrow_deg = ring_config.fov_deg - 2.0 * config.edge_margin_deg
@@ -159,8 +159,8 @@ def make_mask_fan(
 ) -> np.ndarray:
     """Returns the directions of a sensor's rays on the twin, (k, 3).
 
-    Those of the ring itself, so that a sensor in the simulated world and the
-    mask see the same, and a circle of rays beyond the cone's edge.
+    They are those of the ring itself, so that a simulated sensor and the mask
+    see the same, and a circle of rays beyond the cone's edge.
     """
     fan_S = make_cone_fan(
         math.radians(ring_config.fov_deg),
@@ -178,7 +178,7 @@ def make_mask_fan(
 
 
 class Twin(Protocol):
-    """The monitor's own idea of the robot, what it holds, and its cell."""
+    """The monitor's own model of the robot, what it holds, and its cell."""
 
     def calc(
         self, q: np.ndarray, gripper_closed: float, products_placed: float
@@ -193,11 +193,11 @@ _NO_FAULT = int(SensorFault.NONE)
 _DEAD = int(SensorFault.DEAD)
 _EDGE_RAYS = 16
 
-# A sensor sees at least up to there what fills the middle of its cone, m: with
+# Up to this distance, m, a sensor sees what fills the middle of its cone: with
 # the model's range, all but 2 in 1000 times (assumed for others).
 _SURELY_SEEN = 0.9
 
-# A robot this slow does not move by a millimetre within the time margin,
+# Below this speed a robot moves less than a millimetre in the time margin,
 # rad/s.
 _STILL = 0.05
 
@@ -207,15 +207,15 @@ _GRIPPER_CLOSED, _PRODUCTS_PLACED = 13, 14
 _COLUMNS = 15
 
 REPORT_SIZE = _COLUMNS - 1
-"""Of what a robot reports: position and velocity of the joints (6 each, rad,
+"""Size of a robot's report: position and velocity of the joints (6 each, rad,
 rad/s), gripper closed, products placed."""
 
 
 def make_robot_history(length: int) -> np.ndarray:
-    """Returns an empty history of what the robot reported.
+    """Returns an empty history of the robot's reports.
 
     Args:
-        length: h, of how many control ticks.
+        length: h, number of control ticks.
 
     Returns:
         Oldest first: time, s (-inf in unused rows), position, rad, (6),
@@ -242,11 +242,11 @@ def push_report(table, time, report):
 
 @njit(cache=True)
 def interpolate_reports(table, time):
-    """Returns what the robot reported for a time, as a row of the table.
+    """Returns the robot's report for a time, as a row of the table.
 
-    Joints and their speeds are interpolated linearly; gripper and products
-    are those of the last report before. Outside of the history's span it is
-    the oldest or the newest report.
+    Joints and their speeds are interpolated linearly; gripper and products are
+    those of the last report before. Outside the history's span it is the oldest
+    or the newest report.
     """
     last = table.shape[0] - 1
     i = last
@@ -263,20 +263,21 @@ def interpolate_reports(table, time):
 # Rows of the table of all rings' samples.
 _NEAREST, _FARTHEST, _PREVIOUS_DISTANCE, _PREVIOUS_TIME = 0, 1, 2, 3
 _SENSOR_TIME, _DISTANCE, _STATUS, _COUNTED, _MOVES = 4, 5, 6, 7, 8
-# What the scan before left: its distance and time, whether it was an
-# obstacle, when the sensor was last without a fault.
+# From the previous scan: distance, time, whether it was an obstacle, when the
+# sensor was last without a fault.
 _BEFORE_DISTANCE, _BEFORE_TIME, _HAD_OBSTACLE, _HEALTHY_TIME = 9, 10, 11, 12
 _BEFORE_PREVIOUS_DISTANCE, _BEFORE_PREVIOUS_TIME = 13, 14
 _ROWS = 15
 
-# Rows of the table of what is told of each sensor, and how often in a row.
+# Rows of the table of verdicts: what each sensor's sample means, and numbers of
+# samples in a row.
 _READING, _FAULT, _NO_RETURNS, _UNMEASURED = 0, 1, 2, 3
-_TOLD_ROWS = 4
+_VERDICT_ROWS = 4
 
 
 @functools.cache
 def _make_no_samples(num_sensors):
-    """Returns the table of samples without any, (15, num_sensors)."""
+    """Returns an empty table of samples, (15, num_sensors)."""
     samples = np.zeros((_ROWS, num_sensors))
     samples[_SENSOR_TIME] = -np.inf
     samples[_PREVIOUS_DISTANCE] = np.nan
@@ -288,14 +289,14 @@ def _make_no_samples(num_sensors):
     return samples
 
 
-# Rows of what the scan before told of a ring's sensors.
+# Rows of a ring's previous scan.
 _WAS_TIME, _WAS_DISTANCE, _WAS_STATUS, _WAS_READING = 0, 1, 2, 3
 _WAS_PREVIOUS_DISTANCE, _WAS_PREVIOUS_TIME, _WAS_HEALTHY_TIME = 4, 5, 6
 _WAS_NO_RETURNS, _WAS_UNMEASURED = 7, 8
 
 
 def _stack_before(before):
-    """Returns what the scan before told, (9, n); n = 0: there was none."""
+    """Returns the previous scan as a table, (9, n); n = 0: there was none."""
     return np.array(
         [
             before.scan.sensor_time,
@@ -313,22 +314,22 @@ def _stack_before(before):
 
 
 @njit(cache=True)
-def _load_ring(samples, told, first, new, was):
-    """Writes a ring's new samples and what is remembered of those before.
+def _load_ring(samples, verdict, first, new, was):
+    """Writes a ring's new samples and what is remembered of the previous ones.
 
-    The sample before stands in place of "no new data": a ring may fire its
-    sensors in turns, or a sensor may take longer; its last sample then
-    stands, with its own time, until it is too old.
+    The previous sample replaces "no new data": a ring may fire its sensors in
+    turn, or a sensor may take longer; then its last sample counts, with its own
+    time, until it is too old.
 
     Args:
         samples: the table, (15, N).
-        told: how often in a row sensors told the same, (4, N).
+        verdict: the table; gets the numbers of samples in a row, (4, N).
         first: the ring's first sensor in the tables.
         new: time, s, distance, m, and status of the new samples, (3, n).
         was: see `_stack_before`, (9, n or 0).
 
     Returns:
-        Whether a sample before stands.
+        Whether any previous sample still counts.
     """
     some_held = False
     for j in range(was.shape[1]):
@@ -343,7 +344,7 @@ def _load_ring(samples, told, first, new, was):
             samples[_STATUS, i] = was[_WAS_STATUS, j]
         reading = was[_WAS_READING, j]
         if samples[_SENSOR_TIME, i] == was[_WAS_TIME, j]:
-            # A sample that is held has still the same one before it.
+            # The sample before a held one stays the same.
             samples[_PREVIOUS_DISTANCE, i] = was[_WAS_PREVIOUS_DISTANCE, j]
             samples[_PREVIOUS_TIME, i] = was[_WAS_PREVIOUS_TIME, j]
         else:
@@ -356,8 +357,8 @@ def _load_ring(samples, told, first, new, was):
         samples[_BEFORE_PREVIOUS_TIME, i] = was[_WAS_PREVIOUS_TIME, j]
         samples[_HAD_OBSTACLE, i] = reading == _VALID or reading == _HELD
         samples[_HEALTHY_TIME, i] = was[_WAS_HEALTHY_TIME, j]
-        told[_NO_RETURNS, i] = was[_WAS_NO_RETURNS, j]
-        told[_UNMEASURED, i] = was[_WAS_UNMEASURED, j]
+        verdict[_NO_RETURNS, i] = was[_WAS_NO_RETURNS, j]
+        verdict[_UNMEASURED, i] = was[_WAS_UNMEASURED, j]
     return some_held
 
 
@@ -366,9 +367,9 @@ def _report_motion(samples, table, n, motion):
     """Writes the robot's motion at each sample's time.
 
     Args:
-        samples: of rings of n sensors, (15, N); tells where the robot moves.
+        samples: of rings of n sensors, (15, N); gets whether the robot moves.
         table: the robot's reports, see `make_robot_history`.
-        n: sensors of a ring.
+        n: number of sensors of a ring.
         motion: result, measured joints, rad, and their speeds, rad/s, both
             (N, 6); (2, N, 6). 0 where the time is not finite.
     """
@@ -391,17 +392,17 @@ def _report_motion(samples, table, n, motion):
 
 
 @njit(cache=True)
-def _classify(samples, time, limits, wider, told, unsettled):
-    """Tells what each sample means by what was seen of the robot so far.
+def _classify(samples, time, limits, wider, verdict, unsettled):
+    """Classifies each sample by the self-hits found so far.
 
     Args:
-        samples: the table, (15, N); gets the distance that counts.
+        samples: the table, (15, N); gets the distance to use.
         time: now, s.
         limits: tolerance, min_range, max_range and max_age of
             `classify_readings`.
-        wider: whether only a look at another time can tell more, which it
-            can where the robot moves.
-        told: result, rows of readings and faults, (4, N).
+        wider: whether only a look at another time can change a reading, which
+            it can if the robot moves.
+        verdict: result, rows of readings and faults, (4, N).
         unsettled: result, whether another look at the robot can change the
             reading, (N,): only VALID ones can become MASKED.
 
@@ -419,8 +420,8 @@ def _classify(samples, time, limits, wider, told, unsettled):
         limits[2],
         limits[3],
     )
-    told[_READING] = reading
-    told[_FAULT] = fault
+    verdict[_READING] = reading
+    verdict[_FAULT] = fault
     some = False
     for i in range(reading.shape[0]):
         unsettled[i] = (
@@ -432,32 +433,31 @@ def _classify(samples, time, limits, wider, told, unsettled):
     return some
 
 
-# The mask in three steps of compiled code, since each call of one costs
-# microseconds: `_begin`, then `_begin_look` and `_end_look` for each look at
-# the twin.
+# The mask in three compiled steps, since each call costs microseconds:
+# `_begin`, then `_begin_look` and `_end_look` for each look at the twin.
 
 
 @njit(cache=True)
-def _begin(samples, table, n, time, limits, motion, told, unsettled):
-    """Fills in motion and readings before any look; returns `_classify`'s."""
+def _begin(samples, table, n, time, limits, motion, verdict, unsettled):
+    """Fills in motion and readings before any look; returns as `_classify`."""
     _report_motion(samples, table, n, motion)
-    return _classify(samples, time, limits, False, told, unsettled)
+    return _classify(samples, time, limits, False, verdict, unsettled)
 
 
 @njit(cache=True)
 def _begin_look(samples, table, shift, rest, which, report):
-    """Takes the sensors that sampled at one time out of the rest.
+    """Takes the sensors that sampled at the same time out of the rest.
 
     Args:
         samples: the table, (15, N).
         table: the robot's reports, see `make_robot_history`.
         shift: how much later than at the sample to look at the robot, s.
         rest: the sensors to choose from, (N,); the chosen ones are taken out.
-        which: result, those that are chosen, (N,).
-        report: result, what the robot reported for their time, (15,).
+        which: result, the chosen ones, (N,).
+        report: result, the robot's report for their time, (15,).
 
     Returns:
-        Whether there is still a rest.
+        Whether any are left.
     """
     time = np.nan
     more = False
@@ -475,57 +475,59 @@ def _begin_look(samples, table, shift, rest, which, report):
 
 @njit(cache=True)
 def _end_look(
-    samples, which, self_distance, more, time, limits, told, unsettled
+    samples, which, self_distance, more, time, limits, verdict, unsettled
 ):
-    """Lets the self-hits of some sensors count, (N, k) m, inf for none.
+    """Adds the self-hits of some sensors, (N, k) m, inf for none.
 
     Returns:
-        Whether any sensor is unsettled once there is no rest to look at.
+        Whether any sensor is left to look at, or else still unsettled.
     """
     nearest, farthest = calc_self_interval(self_distance)
     for i in range(which.shape[0]):
         if which[i]:
             samples[_NEAREST, i] = min(samples[_NEAREST, i], nearest[i])
             samples[_FARTHEST, i] = max(samples[_FARTHEST, i], farthest[i])
-    return more or _classify(samples, time, limits, True, told, unsettled)
+    return more or _classify(samples, time, limits, True, verdict, unsettled)
 
 
 @njit(cache=True)
-def _remember(samples, told, is_proven, time, report, is_dead, memory, motion):
-    """Lets obstacles that sensors saw before count on, see `hold_obstacles`.
+def _remember(
+    samples, verdict, is_proven, time, report, is_dead, memory, motion
+):
+    """Keeps obstacles that sensors saw before, see `hold_obstacles`.
 
     Args:
-        samples: the table, (15, N); HELD sensors get the sample before.
-        told: readings, faults and how often in a row, (4, N); changed.
+        samples: the table, (15, N); HELD sensors get the previous sample.
+        verdict: the table, (4, N); changed.
         is_proven: whether each sensor's ring sees the robot where it must,
             (N,).
         time: now, s.
-        report: what the robot reported last, (15,).
+        report: the robot's last report, (15,).
         is_dead: whether each sensor is declared dead, (N,).
         memory: clear_samples, sigma_samples.
-        motion: of the robot, (2, N, 6); HELD sensors get that of now.
+        motion: of the robot, (2, N, 6); HELD sensors get the present one.
     """
-    for i in range(told.shape[1]):
+    for i in range(verdict.shape[1]):
         if is_dead[i]:
-            told[_FAULT, i] = _DEAD
+            verdict[_FAULT, i] = _DEAD
     is_new = (samples[_SENSOR_TIME] > samples[_HEALTHY_TIME]) & (
         samples[_SENSOR_TIME] != samples[_BEFORE_TIME]
     )
     is_nearest = hold_obstacles(
-        told[_READING],
-        told[_FAULT],
+        verdict[_READING],
+        verdict[_FAULT],
         is_new,
         is_proven,
         samples[_HAD_OBSTACLE] > 0.0,
-        told[_NO_RETURNS],
-        told[_UNMEASURED],
+        verdict[_NO_RETURNS],
+        verdict[_UNMEASURED],
         memory[0],
         memory[1],
     )
-    for i in range(told.shape[1]):
-        if told[_FAULT, i] == _NO_FAULT:
+    for i in range(verdict.shape[1]):
+        if verdict[_FAULT, i] == _NO_FAULT:
             samples[_HEALTHY_TIME, i] = samples[_SENSOR_TIME, i]
-        if told[_READING, i] != _HELD:
+        if verdict[_READING, i] != _HELD:
             continue
         motion[0, i] = report[_POSITION]
         motion[1, i] = report[_VELOCITY]
@@ -554,47 +556,46 @@ def mask_scans(
     proof_bundles: RayBundles | None = None,
     is_dead: np.ndarray | None = None,
 ) -> tuple[MaskedScan, ...]:
-    """Tells what each reading of new scans means.
+    """Classifies each reading of new scans.
 
-    Casts each sensor's rays on the twin, posed as the robot was at the
-    sample's own time, and compares (paper, Self Occlusion Detection; table
-    in `tofssm_drake.sensing.readings`). What would be valid is compared again
-    with the robot as it was a little earlier and later. Only sensors whose
-    reading can still change are looked at, rings that sampled at the same
-    time in one go.
+    Casts each sensor's rays on the twin, posed as the robot was at the sample's
+    own time, and compares (paper, Self Occlusion Detection; table in
+    `tofssm_drake.sensing.readings`). A valid reading is compared again with the
+    robot slightly earlier and later. Only sensors whose reading can still
+    change are looked at; rings that sampled at the same time are cast together.
 
     Args:
         config: settings.
         scans: each ring's new scan of n sensors; None where there is none.
-        before: each ring's result for the scan before.
+        before: each ring's result for the previous scan.
         time: now, s.
         table: the robot's reports, see `make_robot_history`.
         caster: of the twin.
         bundles: the rays of all rings' sensors, see `make_mask_bundles`.
         twin: gives the poses that the caster needs.
-        proof_bundles: the rays that tell where a sensor must see the robot,
-            see `make_proof_bundles`; None: nothing must be proven.
+        proof_bundles: the rays for where a sensor must see the robot, see
+            `make_proof_bundles`; None: nothing must be proven.
         is_dead: whether each sensor is declared dead, (N,); None: none is.
 
     Returns:
-        Each ring's masked scan, that before where there is no new one. Its
-        `scan` is as the monitor uses it: 0 m for a target nearer than can be
-        measured, the sample before where there is no new data, and the last
-        obstacle with its own time where that is HELD.
+        Each ring's masked scan, the previous one if there is no new one. Its
+        `scan` is as the monitor uses it: 0 m for a target that is too near to
+        be measured, the previous sample if there is no new data, and the last
+        obstacle with its own time if that is HELD.
     """
     num_sensors = bundles.num_bundles
     n = num_sensors // len(scans)
     samples = _make_no_samples(num_sensors).copy()
-    told = np.zeros((_TOLD_ROWS, num_sensors), dtype=np.int64)
+    verdict = np.zeros((_VERDICT_ROWS, num_sensors), dtype=np.int64)
     held = [
-        scan is not None and _load_scan(samples, told, n * i, n, scan, was)
+        scan is not None and _load_scan(samples, verdict, n * i, n, scan, was)
         for i, (scan, was) in enumerate(zip(scans, before, strict=True))
     ]
     motion = np.empty((2, num_sensors, 6))
     _compare_with_twin(
         config,
         samples=samples,
-        told=told,
+        verdict=verdict,
         motion=motion,
         sensors_per_ring=n,
         time=time,
@@ -607,7 +608,7 @@ def mask_scans(
     if config.enabled and proof_bundles is not None:
         is_proven = _find_proven(
             samples=samples,
-            told=told,
+            verdict=verdict,
             sensors_per_ring=n,
             table=table,
             caster=caster,
@@ -618,7 +619,7 @@ def mask_scans(
     memory = config.memory
     _remember(
         samples,
-        told,
+        verdict,
         is_proven,
         time,
         table[-1],
@@ -627,13 +628,13 @@ def mask_scans(
         motion,
     )
     # The messages are views of these.
-    for array in (samples, motion, told):
+    for array in (samples, motion, verdict):
         array.setflags(write=False)
     return tuple(
         was
         if scan is None
         else _make_masked_scan(
-            scan, held[i], samples, told, motion, slice(n * i, n * i + n)
+            scan, held[i], samples, verdict, motion, slice(n * i, n * i + n)
         )
         for i, (scan, was) in enumerate(zip(scans, before, strict=True))
     )
@@ -643,7 +644,7 @@ def _compare_with_twin(
     config,
     *,
     samples,
-    told,
+    verdict,
     motion,
     sensors_per_ring,
     time,
@@ -652,7 +653,7 @@ def _compare_with_twin(
     bundles,
     twin,
 ):
-    """Fills in what each sample means by itself, and the robot's motion."""
+    """Fills in what each sample alone means, and the robot's motion."""
     num_sensors = bundles.num_bundles
     unsettled = np.empty(num_sensors, dtype=bool)
     which = np.empty(num_sensors, dtype=bool)
@@ -665,7 +666,14 @@ def _compare_with_twin(
     )
     margin = config.time_margin
     is_unsettled = _begin(
-        samples, table, sensors_per_ring, time, limits, motion, told, unsettled
+        samples,
+        table,
+        sensors_per_ring,
+        time,
+        limits,
+        motion,
+        verdict,
+        unsettled,
     )
     if not config.enabled:
         return
@@ -686,23 +694,26 @@ def _compare_with_twin(
                 more,
                 time,
                 limits,
-                told,
+                verdict,
                 unsettled,
             )
 
 
 @njit(cache=True)
-def _choose_to_prove(samples, told, n):
+def _choose_to_prove(samples, verdict, n):
     """Returns which sensors must prove that they see, (N,).
 
-    All that see nothing, of rings in which one of them saw something before.
+    All that see nothing, in rings in which one of them saw something before.
     """
-    chosen = np.zeros(told.shape[1], dtype=np.bool_)
-    for first in range(0, told.shape[1], n):
+    chosen = np.zeros(verdict.shape[1], dtype=np.bool_)
+    for first in range(0, verdict.shape[1], n):
         for i in range(first, first + n):
-            if told[_READING, i] == _CLEAR and samples[_HAD_OBSTACLE, i] > 0.0:
+            if (
+                verdict[_READING, i] == _CLEAR
+                and samples[_HAD_OBSTACLE, i] > 0.0
+            ):
                 for j in range(first, first + n):
-                    chosen[j] = told[_READING, j] == _CLEAR
+                    chosen[j] = verdict[_READING, j] == _CLEAR
                 break
     return chosen
 
@@ -725,14 +736,14 @@ def _count_sure_hits(self_distance, which, least, hits):
 
 
 def _find_proven(
-    *, samples, told, sensors_per_ring, table, caster, bundles, twin, least
+    *, samples, verdict, sensors_per_ring, table, caster, bundles, twin, least
 ):
-    """Tells for each sensor whether its ring sees the robot where it must.
+    """Returns for each sensor whether its ring sees the robot where it must.
 
-    Only rings in which a sensor is about to become clear are looked at: the
-    others are proven.
+    Only rings in which a sensor is about to become clear are looked at; the
+    others count as proven.
     """
-    rest = _choose_to_prove(samples, told, sensors_per_ring)
+    rest = _choose_to_prove(samples, verdict, sensors_per_ring)
     hits = np.zeros(len(rest), dtype=int)
     which = np.empty(len(rest), dtype=bool)
     report = np.empty(_COLUMNS)
@@ -750,8 +761,8 @@ def _find_proven(
     return np.repeat(~misses, sensors_per_ring)
 
 
-def _load_scan(samples, told, first, n, scan, before):
-    """Writes a scan into the tables; returns whether a sample before stands."""
+def _load_scan(samples, verdict, first, n, scan, before):
+    """Writes a scan into the tables; returns as `_load_ring`."""
     if scan.status.shape != (n,):
         raise ValueError(
             f"scan of {len(scan.status)} sensors, but the mask has {n}"
@@ -759,12 +770,12 @@ def _load_scan(samples, told, first, n, scan, before):
     if before.reading.shape != (n,):
         before = _make_nothing_before(n)
     new = np.array([scan.sensor_time, scan.distance, scan.status])
-    return _load_ring(samples, told, first, new, _stack_before(before))
+    return _load_ring(samples, verdict, first, new, _stack_before(before))
 
 
 @functools.cache
 def _make_nothing_before(n):
-    """Returns what stands before a ring's first scan of n sensors."""
+    """Returns what counts as previous for a ring's first scan of n sensors."""
     return MaskedScan(
         scan=RingScan(
             sensor_time=np.full(n, -np.inf),
@@ -781,11 +792,11 @@ def _make_nothing_before(n):
     )
 
 
-def _make_masked_scan(scan, is_held, samples, told, motion, sensors):
+def _make_masked_scan(scan, is_held, samples, verdict, motion, sensors):
     raw = scan
     distance = samples[_COUNTED, sensors]
-    reading = told[_READING, sensors].astype(np.uint8)
-    fault = told[_FAULT, sensors].astype(np.uint8)
+    reading = verdict[_READING, sensors].astype(np.uint8)
+    fault = verdict[_FAULT, sensors].astype(np.uint8)
     for array in (reading, fault):
         array.setflags(write=False)
     if (
@@ -811,8 +822,8 @@ def _make_masked_scan(scan, is_held, samples, told, motion, sensors):
         reading=reading,
         fault=fault,
         healthy_time=samples[_HEALTHY_TIME, sensors],
-        no_returns=told[_NO_RETURNS, sensors],
-        unmeasured=told[_UNMEASURED, sensors],
+        no_returns=verdict[_NO_RETURNS, sensors],
+        unmeasured=verdict[_UNMEASURED, sensors],
         self_nearest=samples[_NEAREST, sensors],
         self_farthest=samples[_FARTHEST, sensors],
         previous_distance=samples[_PREVIOUS_DISTANCE, sensors],
@@ -823,7 +834,7 @@ def _make_masked_scan(scan, is_held, samples, told, motion, sensors):
 
 
 class OcclusionMask(LeafSystem):
-    """Tells the robot and its cell from everything else in the rings' scans.
+    """Separates the robot and its cell from everything else in scans of rings.
 
     .. pydrake_system::
 
@@ -838,12 +849,12 @@ class OcclusionMask(LeafSystem):
         - masked_scan_elbow
         - masked_scan_tool
 
-    `robot_report` (vector, REPORT_SIZE) is what the robot tells of itself.
-    Once a control tick it is remembered; where a ring's
-    scan is new, it tells what each reading means (`mask_scans`). Nothing of
-    the simulated world is used: the rays are cast on a twin that is posed
-    from the measured joints. All rings share one system, since they share
-    the robot's reports and an event costs more than a look at a scan.
+    `robot_report` (vector, REPORT_SIZE) is the robot's report. It is remembered
+    at every control tick; new scans of rings are classified with it
+    (`mask_scans`). Nothing of the simulated world is used: the rays are cast on
+    a twin that is posed from the measured joints. All rings share one system,
+    since they share the robot's reports and an event costs more than a look at
+    a scan.
 
     Before a ring's first scan its port holds an empty one (sequence -1).
     """
@@ -867,7 +878,7 @@ class OcclusionMask(LeafSystem):
             period: control tick, s.
             caster: of the twin's SceneGraph.
             bundles: the rings' rays by that caster, see `make_mask_bundles`;
-                as many for each ring.
+                the same number for each ring.
             twin: gives the poses of `caster.frame_ids`.
             proof_bundles: where a sensor must see the robot, see
                 `make_proof_bundles`; None: nothing must be proven.
@@ -903,21 +914,21 @@ class OcclusionMask(LeafSystem):
             for ring in name
         ]
         self._report = self.DeclareVectorInputPort("robot_report", REPORT_SIZE)
-        # A sample that is not stale lies within the history, and so does the
-        # look back from it.
+        # The history includes every sample that is not stale, and the look
+        # back from it.
         length = math.ceil((config.max_age + config.time_margin) / period) + 2
         self._history = self.DeclareDiscreteState(
             make_robot_history(length).ravel()
         )
-        # Of the scans that are masked: cheaper to ask than the messages.
+        # Of the masked scans: cheaper to read than from the messages.
         self._sequence = self.DeclareDiscreteState([-1.0] * len(name))
         self._masked_scans = [
             self.DeclareAbstractState(Value(MaskedScan())) for _ in name
         ]
         for ring, index in zip(name, self._masked_scans, strict=True):
             self.DeclareStateOutputPort(f"masked_scan_{ring}", index)
-        # Two events: most ticks bring no scan, and what follows from the
-        # masked scans is then not computed again.
+        # Two events: most ticks bring no scan, and then what follows from the
+        # masked scans is not computed again.
         self.DeclarePeriodicUnrestrictedUpdateEvent(period, 0.0, self._mask)
         self.DeclarePeriodicDiscreteUpdateEvent(period, 0.0, self._remember)
 
