@@ -53,6 +53,9 @@ def count_alarms(seed: int) -> tuple[float, list[str], float, float, float]:
 def main() -> int:
     """Runs seeds for the given hours; returns 1 if there was an alarm."""
     hours, alarms = 0.0, 0
+    print(
+        f"simulates {_HOURS:g} h; each line takes a minute or two", flush=True
+    )
     seeds = itertools.count()
     # Forked processes and compiled kernels do not go together.
     context = multiprocessing.get_context("spawn")

@@ -317,6 +317,7 @@ def make_scenario_self_hits(
             frame_ids=caster.frame_ids,
             kinematics=kinematics,
         ),
+        is_dead=find_dead_sensors(scenario),
     )
 
 

@@ -150,6 +150,9 @@ def get_children(node: yaml.MappingNode) -> dict[str, yaml.Node]:
     return merged | own
 
 
+_EXAMPLES = {int: "[0, 1]", float: "[0.0, 1.0]", str: "[a, b]"}
+
+
 def check_yaml(
     node: yaml.Node, schema: type, source: str, where: str = ""
 ) -> None:
@@ -199,7 +202,7 @@ def check_yaml(
     elif origin is list or schema is np.ndarray:
         item = typing.get_args(schema)[0] if origin is list else float
         if not isinstance(node, yaml.SequenceNode):
-            fail("must be a list, e.g. [0.0, 1.0]")
+            fail(f"must be a list, e.g. {_EXAMPLES.get(item, '[...]')}")
         for index, child in enumerate(node.value):
             is_row = schema is np.ndarray and isinstance(
                 child, yaml.SequenceNode

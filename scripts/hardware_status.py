@@ -162,10 +162,9 @@ class Changes:
             self._since = result.time
         elif result.time - self._since >= _SETTLE:
             self._stopped = False
-        news = (self._stopped, result.problem)
+        news = (self._stopped, _strip_numbers(result.problem))
         if not self._dry_run:
-            # Numbers keep changing.
-            reason = re.sub(r"[0-9.]+", "", result.slider.reason)
+            reason = _strip_numbers(result.slider.reason)
             news = (*news, result.slider.phase, reason)
         if news == self._reported:
             return ""
@@ -175,6 +174,11 @@ class Changes:
             return ""
         self._health = health
         return f"{result.time:8.2f} s  {health}"
+
+
+def _strip_numbers(text):
+    """Returns a text without its numbers, which keep changing."""
+    return re.sub(r"[0-9.]+", "", text)
 
 
 def describe_health(result: TickResult, *, dry_run: bool) -> str:
@@ -233,11 +237,11 @@ def describe_status(
         f"rho {result.speed_fraction:.2f}, "
         f"echo {report.target_speed_fraction:.2f}",
         f"{ages} ms",
+        _describe_sensors(result),
         gaps,
         f"{result.products_placed} placed",
-        _describe_sensors(result),
-        result.slider.reason,
         "" if rings is None else rings.describe(now),
+        result.slider.reason,
     ]
     line = parts[0]
     for part in parts[1:]:

@@ -69,6 +69,8 @@ class SensorFault(enum.IntEnum):
     """Declared dead in the scenario: ignored, the robot is slow."""
     RIDING_HIT = 13
     """Something that is not the robot moves with it: tape, a cable, a hand."""
+    UNRELIABLE = 14
+    """Its sample is good, but too many lately were not."""
 
 
 FAULT_NAMES = {
@@ -86,6 +88,7 @@ FAULT_NAMES = {
     SensorFault.UNSEEN_SELF_HIT: "unseen self-hit",
     SensorFault.DEAD: "declared dead",
     SensorFault.RIDING_HIT: "riding hit",
+    SensorFault.UNRELIABLE: "fails too often",
 }
 """Names of the faults in messages and reports."""
 
@@ -168,7 +171,7 @@ class MaskedScan(_Frozen):
     scan: RingScan = dc.field(default_factory=RingScan)
     """As the monitor uses it."""
     raw: RingScan = dc.field(default_factory=RingScan)
-    """As it came."""
+    """Each sensor's last sample as it came, with its own time."""
     reading: np.ndarray = dc.field(
         default_factory=lambda: np.empty(0, dtype=np.uint8)
     )
@@ -178,8 +181,8 @@ class MaskedScan(_Frozen):
     )
     """`SensorFault` of each sensor, shape (n,)."""
     healthy_time: np.ndarray = dc.field(default_factory=lambda: np.empty(0))
-    """Time of each sensor's last sample without a fault, s, (n,); -inf:
-    none yet."""
+    """Until when each sensor counts as having worked, s, (n,): the time of its
+    last good sample less its lag (`sensing.memory`); -inf: none yet."""
     no_returns: np.ndarray = dc.field(
         default_factory=lambda: np.empty(0, dtype=np.int64)
     )
@@ -188,6 +191,10 @@ class MaskedScan(_Frozen):
         default_factory=lambda: np.empty(0, dtype=np.int64)
     )
     """Number of samples in a row with a target but no distance, (n,)."""
+    others: np.ndarray = dc.field(
+        default_factory=lambda: np.empty(0, dtype=np.int64)
+    )
+    """Number of samples in a row too far for the obstacle before, (n,)."""
     self_nearest: np.ndarray = dc.field(default_factory=lambda: np.empty(0))
     """Nearest hit of each sensor's rays on the twin, m, (n,); inf: none, or
     not computed, since the sample has no distance."""

@@ -224,3 +224,82 @@ def test_without_a_failure_the_robot_starts_again(monitor, position):
     watch.run(1.0)
     assert watch.state == NORMAL
     assert set(RINGS) == set(watch.sequence)
+
+
+SIGMA, LOST, IMPLAUSIBLE = (1, 0.2), (255, 0.2), (0, 4.0)
+NOTHING = (2, 4.0)
+
+
+@pytest.mark.parametrize(
+    "pattern",
+    [
+        [SIGMA, NOTHING],
+        [SIGMA, NOTHING, NOTHING],
+        [(9, 0.2), NOTHING, (12, 0.2), NOTHING],
+        [IMPLAUSIBLE, NOTHING, NOTHING],
+        [LOST, NOTHING, NOTHING],
+        [NOTHING, LOST],
+        # A sensor that fails must not be believed with a far value either.
+        [LOST, (0, 1.40), (0, 1.41)],
+        [(0, 1.40), LOST],
+        [(0, 1.40), *[(253, 0.2)] * 200],
+    ],
+)
+def test_failures_mixed_with_good_samples_release_nothing(
+    monitor, position, pattern
+):
+    watch = make_watch(monitor, position)
+    for i in range(round(3.0 / PERIOD)):
+        watch.tell(*pattern[i % len(pattern)])
+        assert watch.run_scan() == STOP, (i, watch.eval("reason"))
+
+
+@pytest.mark.parametrize(
+    "pattern",
+    [
+        [SIGMA, NOTHING],
+        [LOST, NOTHING],
+        [NOTHING, *[LOST] * 11],
+        [NOTHING, NOTHING, *[(253, 0.2)] * 11],
+        [SIGMA, NOTHING, NOTHING],
+    ],
+)
+def test_a_sensor_that_fails_again_and_again_stops_the_robot(
+    monitor, position, pattern
+):
+    watch = Watch(monitor, position)
+    watch.run(1.0)
+    states = []
+    for i in range(round(3.0 / PERIOD)):
+        watch.tell(*pattern[i % len(pattern)])
+        states.append(watch.run_scan())
+    late = states[round(1.5 / PERIOD) :]
+    assert set(late) == {STOP}, watch.eval("reason")
+    assert "sensor 0: " in watch.eval("reason")
+
+
+@pytest.mark.parametrize("distance", [0.5, 0.6, 0.7])
+def test_a_frozen_value_releases_nothing(monitor, position, distance):
+    """It repeats before anyone knows; the speed must not be forgotten."""
+    watch = Watch(monitor, position)
+    watch.run(1.0)
+    for d in np.arange(1.3, distance, -0.03):
+        watch.tell(VALID, d)
+        watch.run(PERIOD)
+    if watch.state != STOP:
+        pytest.skip("this law does not stop that early")
+    for _ in range(25):
+        assert watch.run_scan() == STOP, watch.eval("reason")
+    watch.tell(240, d)
+    for _ in range(50):
+        assert watch.run_scan() == STOP
+
+
+def test_a_value_stuck_far_away_releases_nothing(monitor, position):
+    watch = make_watch(monitor, position)
+    watch.tell(VALID, 1.3)
+    for _ in range(25):
+        assert watch.run_scan() == STOP
+    watch.tell(240, 1.3)
+    for _ in range(50):
+        assert watch.run_scan() == STOP

@@ -12,7 +12,7 @@ def count(samples):
     before = tuple(np.array(values) for values in samples[0])
     for sample in samples[1:]:
         now = tuple(np.array(values) for values in sample)
-        repeats = mut.count_repeats(repeats, before=before, now=now)
+        repeats = mut.count_repeats(repeats, before=before, now=now, most=50)
         fresh = now[1] != 254
         before = tuple(
             np.where(fresh, new, old)
@@ -48,6 +48,19 @@ class TestCountRepeats(unittest.TestCase):
             ([500, 501], [0, 0]),
         ]
         self.assertEqual(count(frames).tolist(), [2, 1])
+
+    def test_a_changed_distance_takes_two_back(self):
+        frames = [([mm], [0]) for mm in (5, 5, 5, 5, 6, 6, 7, 8, 8)]
+        counts = [count(frames[: i + 1])[0] for i in range(len(frames))]
+        self.assertEqual(counts, [0, 1, 2, 3, 1, 2, 0, 0, 1])
+
+    def test_each_sample_sent_four_times_is_found(self):
+        frames = [([mm // 4], [0]) for mm in range(110)]
+        self.assertTrue(find(count(frames), [0], frozen_samples=25)[0])
+
+    def test_no_count_is_higher_than_the_most(self):
+        frames = [([5], [0])] * 70 + [([6 + i], [0]) for i in range(13)]
+        self.assertEqual(count(frames).tolist(), [24])
 
 
 class TestFindFrozenSensors(unittest.TestCase):

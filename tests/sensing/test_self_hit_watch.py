@@ -23,6 +23,7 @@ from tofssm_drake.human.walk import GeneratedWalk, make_walk
 from tofssm_drake.messages import (
     RINGS,
     MaskedScan,
+    Reading,
     RingHealth,
     RingScan,
     SelfHitHealth,
@@ -72,8 +73,8 @@ class World:
             plant,
             layout=ProductLayout.from_config(scenario.program),
             frame_ids=others,
-            rows=[row[f] for f in others],
         )
+        self.other_rows = [row[f] for f in others]
 
     def make_bundles(self, turn=0.0, shift=0.0):
         """Returns the rays of rings that are turned, rad, and moved, m."""
@@ -94,7 +95,9 @@ class World:
 
     def cast(self, bundles, q, gripper_closed, products_placed, time):
         X_WF = np.empty((len(self.caster.frame_ids), 3, 4))
-        self.poses.calc(q, gripper_closed, products_placed, X_WF)
+        X_WF[self.other_rows] = self.poses.calc(
+            q, gripper_closed, products_placed
+        )
         if self.motion is not None:
             ends = capsule_ends(self.motion, time)
             person = np.empty((len(ends), 3, 4))
@@ -214,6 +217,8 @@ def watch(
             mut.Look(
                 rings=(0, 1, 2),
                 which=np.ones(SENSORS, dtype=bool),
+                sampled=np.ones(SENSORS, dtype=bool),
+                time=np.full(SENSORS, time),
                 distance=distance,
                 status=status,
                 q=reported,
@@ -405,36 +410,54 @@ class TestLooks(unittest.TestCase):
             distance=np.full(n, 0.5),
             status=np.zeros(n, dtype=np.uint8),
         )
-        return scan, MaskedScan(
+        return MaskedScan(
             scan=scan,
+            raw=scan,
+            reading=np.full(n, Reading.VALID, dtype=np.uint8),
             position=np.full((n, 6), position) + times[:, None],
             velocity=np.ones((n, 6)),
         )
 
+    def look(self, *masked_scans, counted=None, carried=(0.0, 0.0), dead=()):
+        total = sum(len(scan.reading) for scan in masked_scans)
+        is_dead = np.zeros(total, dtype=bool)
+        is_dead[list(dead)] = True
+        if counted is None:
+            counted = np.full(total, -np.inf)
+        return mut.make_looks(
+            masked_scans, np.asarray(counted), np.array(carried), is_dead
+        )
+
     def test_rings_that_sample_together_are_one_look(self):
-        scans, masked = zip(
+        looks = self.look(
             self.make([1.0, 1.0]),
             self.make([1.0, 1.0]),
             self.make([1.1, 1.1]),
-            strict=True,
+            carried=(1.0, 3.0),
         )
-        looks = mut.make_looks(scans, masked, np.array([1.0, 3.0]))
         self.assertEqual([look.rings for look in looks], [(0, 1), (2,)])
         self.assertEqual(looks[0].status.tolist(), [0, 0, 0, 0, 254, 254])
         np.testing.assert_allclose(looks[1].q, 1.1)
         self.assertEqual(looks[0].products_placed, 3.0)
 
-    def test_samples_of_another_time_do_not_count(self):
-        scan, masked = self.make([1.0, 1.006, 0.9, -np.inf])
-        (look,) = mut.make_looks([scan], [masked], np.zeros(2))
-        self.assertEqual(look.status.tolist(), [0, 0, 254, 254])
-        self.assertAlmostEqual(look.spread, 0.003)
-        np.testing.assert_allclose(look.q, 1.003)
+    def test_samples_of_another_time_are_another_look(self):
+        """A ring may fire its sensors in turns."""
+        first, second = self.look(self.make([1.012, 1.002, 1.0, -np.inf]))
+        self.assertEqual(first.status.tolist(), [254, 0, 0, 254])
+        self.assertAlmostEqual(first.spread, 0.001)
+        np.testing.assert_allclose(first.q, 1.001)
+        self.assertEqual(second.status.tolist(), [0, 254, 254, 254])
+        self.assertEqual(second.which.tolist(), [True] * 4)
+
+    def test_each_sample_counts_once_and_none_of_the_dead(self):
+        scan = self.make([1.0, 1.0, 1.0])
+        (look,) = self.look(scan, counted=[1.0, 0.9, -np.inf], dead=[2])
+        self.assertEqual(look.sampled.tolist(), [False, True, False])
+        self.assertEqual(self.look(scan, counted=[1.0, 1.0, 1.0]), [])
 
     def test_no_sample_no_look(self):
-        scan, masked = self.make([-np.inf, -np.inf])
-        self.assertEqual(mut.make_looks([scan], [masked], np.zeros(2)), [])
-        self.assertEqual(mut.make_looks([None], [masked], np.zeros(2)), [])
+        self.assertEqual(self.look(self.make([-np.inf, -np.inf])), [])
+        self.assertEqual(self.look(MaskedScan(), MaskedScan()), [])
 
 
 class Ride:

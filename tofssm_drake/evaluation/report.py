@@ -25,6 +25,7 @@ from tofssm_drake.evaluation.page import make_picture, render_page
 from tofssm_drake.evaluation.samples import Samples, write_atomically
 from tofssm_drake.evaluation.sensor_faults import (
     calc_ages,
+    find_faulted_links,
     find_faulted_sensors,
 )
 from tofssm_drake.messages import RobotState
@@ -166,6 +167,11 @@ def _judge_task(summary, products):
 
 def _describe_slowing(summary, watcher):
     episodes, standstills = summary["slow_episodes"], summary["standstills"]
+    if not episodes and summary["reduced_s"] > 0.0:
+        return "note", (
+            "No person slowed the robot, but it ran at reduced speed for "
+            f"{summary['reduced_s']:.1f} s."
+        )
     if not episodes:
         return "note", "Nothing stopped or slowed the robot."
     stood = (
@@ -626,6 +632,7 @@ def make_report(
         contacts=[_make_contact(c, samples) for c in contacts],
         rings=_make_ring_rows(samples, summary),
         faults=_make_fault_rows(samples),
+        link_faults=find_faulted_links(samples),
         facts=_make_facts(samples, summary),
     )
 
@@ -763,8 +770,8 @@ def _describe_dead_sensors(dead_sensors):
     return [
         (
             "note",
-            f"Sensors declared dead: {names}. The robot was never faster than "
-            "reduced for it.",
+            f"Sensors declared dead: {names}. Because of that the robot was "
+            "never faster than reduced.",
         )
     ]
 

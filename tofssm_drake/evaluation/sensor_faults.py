@@ -1,6 +1,7 @@
-"""Which sensors failed in a run, why, and for how long."""
+"""Which sensors and links failed in a run, why, and for how long."""
 
 import dataclasses as dc
+import re
 
 import numpy as np
 
@@ -49,6 +50,54 @@ def find_faulted_sensors(samples: Samples) -> list[FaultedSensor]:
                 )
             )
     return found
+
+
+@dc.dataclass(frozen=True, kw_only=True)
+class FaultedLink:
+    """What stopped or slowed the robot because a link could not be trusted."""
+
+    link: str
+    cause: str
+    """As first reported."""
+    duration: float
+    """For how long it decided in all, s."""
+    first: float
+    """When it was first reported, s."""
+
+
+_LINK_REASON = re.compile(
+    r"(?:stop|reduced): (\S+) is (?:faulted|degraded), (.+)"
+)
+
+
+def find_faulted_links(samples: Samples) -> list[FaultedLink]:
+    """Returns for what faults of links the robot stopped or was slow.
+
+    Faults of the ring's link (loss, age, clock), of the self-hit watch and of
+    sensors alike: whatever decided. Causes that differ in numbers only are one.
+    """
+    t = samples["t"]
+    reasons = samples["reason"]
+    if not len(t):
+        return []
+    tick = np.diff(t, append=t[-1])
+    found: dict[tuple[str, str], FaultedLink] = {}
+    for reason in dict.fromkeys(reasons):
+        match = _LINK_REASON.match(reason)
+        if not match:
+            continue
+        link, cause = match.groups()
+        key = link, re.sub(r"\d+(\.\d+)?", "", cause)
+        rows = np.flatnonzero(reasons == reason)
+        before = found.get(key)
+        found[key] = FaultedLink(
+            link=link,
+            cause=before.cause if before else cause,
+            duration=float(tick[rows].sum())
+            + (before.duration if before else 0.0),
+            first=before.first if before else float(t[rows[0]]),
+        )
+    return list(found.values())
 
 
 def _find_pairs(fault):

@@ -12,21 +12,30 @@ def count_repeats(
     *,
     before: Sequence[np.ndarray],
     now: Sequence[np.ndarray],
+    most: int,
 ) -> np.ndarray:
-    """Counts how often each sensor has repeated its sample bit for bit.
+    """Counts how often each sensor has repeated its sample to the last bit.
+
+    A distance that changes takes two repetitions back, not all of them: a
+    device that sends each sample several times is found as well.
 
     Args:
         repeats: The counts so far, (n,).
         before: Millimetres and status of each sensor's last fresh sample,
             both (n,).
         now: Those of this frame.
+        most: No count is higher, so that a sensor that works again is trusted
+            again.
 
     Returns:
-        The counts with this frame, (n,), unchanged where there is no new data.
+        The counts with this frame, (n,). Where there is no new data the count
+        is what it was.
     """
     (mm_before, status_before), (mm, status) = before, now
     is_same = (mm == mm_before) & (status == status_before)
-    counts = np.where(is_same, repeats + 1, 0)
+    is_other_distance = (status == STATUS_VALID) & (status == status_before)
+    fewer = np.where(is_other_distance, np.maximum(repeats - 2, 0), 0)
+    counts = np.where(is_same, np.minimum(repeats + 1, most), fewer)
     return np.where(status == STATUS_NO_NEW_DATA, repeats, counts)
 
 

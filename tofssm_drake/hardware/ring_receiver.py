@@ -301,6 +301,7 @@ class RingReceiver:
             self._repeats,
             before=(self._mm, self._status),
             now=(frame.mm, frame.status),
+            most=2 * self._config.frozen_samples,
         )
         is_fresh = frame.status != STATUS_NO_NEW_DATA
         self._mm = np.where(is_fresh, frame.mm, self._mm)

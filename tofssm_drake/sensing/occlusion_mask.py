@@ -27,7 +27,12 @@ from tofssm_drake.messages import (
     RingScan,
     SensorFault,
 )
-from tofssm_drake.sensing.memory import SensorMemoryConfig, hold_obstacles
+from tofssm_drake.sensing.memory import (
+    SensorMemoryConfig,
+    calc_healthy_time,
+    find_other_obstacles,
+    hold_obstacles,
+)
 from tofssm_drake.sensing.readings import (
     calc_self_interval,
     classify_readings,
@@ -190,6 +195,7 @@ _CLEAR = int(Reading.CLEAR)
 _VALID = int(Reading.VALID)
 _HELD = int(Reading.HELD)
 _NO_FAULT = int(SensorFault.NONE)
+_UNRELIABLE = int(SensorFault.UNRELIABLE)
 _DEAD = int(SensorFault.DEAD)
 _EDGE_RAYS = 16
 
@@ -200,6 +206,9 @@ _SURELY_SEEN = 0.9
 # Below this speed a robot moves less than a millimetre in the time margin,
 # rad/s.
 _STILL = 0.05
+
+# A shorter lag is rounding, s.
+_NO_LAG = 1e-6
 
 # Columns of the history's table.
 _TIME, _POSITION, _VELOCITY = 0, slice(1, 7), slice(7, 13)
@@ -263,51 +272,57 @@ def interpolate_reports(table, time):
 # Rows of the table of all rings' samples.
 _NEAREST, _FARTHEST, _PREVIOUS_DISTANCE, _PREVIOUS_TIME = 0, 1, 2, 3
 _SENSOR_TIME, _DISTANCE, _STATUS, _COUNTED, _MOVES = 4, 5, 6, 7, 8
-# From the previous scan: distance, time, whether it was an obstacle, when the
-# sensor was last without a fault.
+# What the scan before left: the obstacle's distance and time, the distance and
+# time before that, whether there was an obstacle, until when the sensor worked,
+# and the sensor's last sample as it came.
 _BEFORE_DISTANCE, _BEFORE_TIME, _HAD_OBSTACLE, _HEALTHY_TIME = 9, 10, 11, 12
 _BEFORE_PREVIOUS_DISTANCE, _BEFORE_PREVIOUS_TIME = 13, 14
-_ROWS = 15
+_RAW_TIME, _RAW_DISTANCE = 15, 16
+_ROWS = 17
 
-# Rows of the table of verdicts: what each sensor's sample means, and numbers of
-# samples in a row.
-_READING, _FAULT, _NO_RETURNS, _UNMEASURED = 0, 1, 2, 3
-_VERDICT_ROWS = 4
+# Rows of the table of results for each sensor: reading, fault, and the counts
+# of `hold_obstacles`.
+_READING, _FAULT, _NO_RETURNS, _UNMEASURED, _OTHERS = 0, 1, 2, 3, 4
+_VERDICT_ROWS = 5
 
 
 @functools.cache
 def _make_no_samples(num_sensors):
-    """Returns an empty table of samples, (15, num_sensors)."""
+    """Returns an empty table of samples, (17, num_sensors)."""
     samples = np.zeros((_ROWS, num_sensors))
     samples[_SENSOR_TIME] = -np.inf
     samples[_PREVIOUS_DISTANCE] = np.nan
     samples[_PREVIOUS_TIME] = -np.inf
     samples[_BEFORE_TIME] = -np.inf
+    samples[_RAW_TIME] = -np.inf
     samples[_HEALTHY_TIME] = -np.inf
     samples[_NEAREST] = np.inf
     samples[_FARTHEST] = -np.inf
     return samples
 
 
-# Rows of a ring's previous scan.
-_WAS_TIME, _WAS_DISTANCE, _WAS_STATUS, _WAS_READING = 0, 1, 2, 3
-_WAS_PREVIOUS_DISTANCE, _WAS_PREVIOUS_TIME, _WAS_HEALTHY_TIME = 4, 5, 6
-_WAS_NO_RETURNS, _WAS_UNMEASURED = 7, 8
+# Rows of what is left of a ring's scan before.
+_WAS_TIME, _WAS_DISTANCE, _WAS_READING = 0, 1, 2
+_WAS_PREVIOUS_DISTANCE, _WAS_PREVIOUS_TIME, _WAS_HEALTHY_TIME = 3, 4, 5
+_WAS_NO_RETURNS, _WAS_UNMEASURED, _WAS_OTHERS = 6, 7, 8
+_WAS_RAW_TIME, _WAS_RAW_DISTANCE = 9, 10
 
 
 def _stack_before(before):
-    """Returns the previous scan as a table, (9, n); n = 0: there was none."""
+    """Returns what is left of the scan before, (11, n)."""
     return np.array(
         [
             before.scan.sensor_time,
             before.scan.distance,
-            before.scan.status,
             before.reading,
             before.previous_distance,
             before.previous_time,
             before.healthy_time,
             before.no_returns,
             before.unmeasured,
+            before.others,
+            before.raw.sensor_time,
+            before.raw.distance,
         ],
         dtype=float,
     )
@@ -315,51 +330,49 @@ def _stack_before(before):
 
 @njit(cache=True)
 def _load_ring(samples, verdict, first, new, was):
-    """Writes a ring's new samples and what is remembered of the previous ones.
-
-    The previous sample replaces "no new data": a ring may fire its sensors in
-    turn, or a sensor may take longer; then its last sample counts, with its own
-    time, until it is too old.
+    """Writes a ring's newest samples and what is left of those before.
 
     Args:
-        samples: the table, (15, N).
-        verdict: the table; gets the numbers of samples in a row, (4, N).
+        samples: the table, (17, N).
+        verdict: the table of results, (5, N).
         first: the ring's first sensor in the tables.
-        new: time, s, distance, m, and status of the new samples, (3, n).
-        was: see `_stack_before`, (9, n or 0).
-
-    Returns:
-        Whether any previous sample still counts.
+        new: time, s, distance, m, and status of the newest samples, (3, n).
+        was: see `_stack_before`, (11, n).
     """
-    some_held = False
     for j in range(was.shape[1]):
         i = first + j
-        samples[_SENSOR_TIME, i] = new[0, j]
-        samples[_DISTANCE, i] = new[1, j]
+        time, distance = new[0, j], new[1, j]
+        samples[_SENSOR_TIME, i] = time
+        samples[_DISTANCE, i] = distance
         samples[_STATUS, i] = new[2, j]
-        if new[2, j] == STATUS_NO_NEW_DATA:
-            some_held = True
-            samples[_SENSOR_TIME, i] = was[_WAS_TIME, j]
-            samples[_DISTANCE, i] = was[_WAS_DISTANCE, j]
-            samples[_STATUS, i] = was[_WAS_STATUS, j]
         reading = was[_WAS_READING, j]
-        if samples[_SENSOR_TIME, i] == was[_WAS_TIME, j]:
-            # The sample before a held one stays the same.
+        samples[_PREVIOUS_TIME, i] = was[_WAS_TIME, j]
+        if time == was[_WAS_RAW_TIME, j]:
+            # The same sample as in the scan before.
             samples[_PREVIOUS_DISTANCE, i] = was[_WAS_PREVIOUS_DISTANCE, j]
             samples[_PREVIOUS_TIME, i] = was[_WAS_PREVIOUS_TIME, j]
-        else:
-            if reading == _VALID:
-                samples[_PREVIOUS_DISTANCE, i] = was[_WAS_DISTANCE, j]
-            samples[_PREVIOUS_TIME, i] = was[_WAS_TIME, j]
+        elif reading == _VALID:
+            samples[_PREVIOUS_DISTANCE, i] = was[_WAS_DISTANCE, j]
+            if (
+                distance == was[_WAS_RAW_DISTANCE, j]
+                and was[_WAS_PREVIOUS_DISTANCE, j] > distance
+            ):
+                # A repeated distance may be frozen: the obstacle still
+                # approaches as fast as it did.
+                span = was[_WAS_TIME, j] - was[_WAS_PREVIOUS_TIME, j]
+                samples[_PREVIOUS_DISTANCE, i] = was[_WAS_PREVIOUS_DISTANCE, j]
+                samples[_PREVIOUS_TIME, i] = time - span
         samples[_BEFORE_DISTANCE, i] = was[_WAS_DISTANCE, j]
         samples[_BEFORE_TIME, i] = was[_WAS_TIME, j]
         samples[_BEFORE_PREVIOUS_DISTANCE, i] = was[_WAS_PREVIOUS_DISTANCE, j]
         samples[_BEFORE_PREVIOUS_TIME, i] = was[_WAS_PREVIOUS_TIME, j]
         samples[_HAD_OBSTACLE, i] = reading == _VALID or reading == _HELD
         samples[_HEALTHY_TIME, i] = was[_WAS_HEALTHY_TIME, j]
+        samples[_RAW_TIME, i] = was[_WAS_RAW_TIME, j]
+        samples[_RAW_DISTANCE, i] = was[_WAS_RAW_DISTANCE, j]
         verdict[_NO_RETURNS, i] = was[_WAS_NO_RETURNS, j]
         verdict[_UNMEASURED, i] = was[_WAS_UNMEASURED, j]
-    return some_held
+        verdict[_OTHERS, i] = was[_WAS_OTHERS, j]
 
 
 @njit(cache=True)
@@ -494,39 +507,62 @@ def _end_look(
 def _remember(
     samples, verdict, is_proven, time, report, is_dead, memory, motion
 ):
-    """Keeps obstacles that sensors saw before, see `hold_obstacles`.
+    """Lets obstacles that sensors saw before count on, see `hold_obstacles`.
 
     Args:
-        samples: the table, (15, N); HELD sensors get the previous sample.
-        verdict: the table, (4, N); changed.
+        samples: the table, (17, N); HELD sensors get the sample before.
+        verdict: the table of results, (5, N); changed.
         is_proven: whether each sensor's ring sees the robot where it must,
             (N,).
         time: now, s.
-        report: the robot's last report, (15,).
+        report: what the robot reported last, (15,).
         is_dead: whether each sensor is declared dead, (N,).
-        memory: clear_samples, sigma_samples.
-        motion: of the robot, (2, N, 6); HELD sensors get the present one.
+        memory: the settings of SensorMemoryConfig in their order.
+        motion: of the robot, (2, N, 6); HELD sensors get that of now.
     """
-    for i in range(verdict.shape[1]):
+    n = verdict.shape[1]
+    has_lag = np.zeros(n, dtype=np.bool_)
+    is_new = samples[_SENSOR_TIME] != samples[_RAW_TIME]
+    for i in range(n):
         if is_dead[i]:
             verdict[_FAULT, i] = _DEAD
-    is_new = (samples[_SENSOR_TIME] > samples[_HEALTHY_TIME]) & (
-        samples[_SENSOR_TIME] != samples[_BEFORE_TIME]
+        if verdict[_FAULT, i] == _NO_FAULT and is_new[i]:
+            samples[_HEALTHY_TIME, i] = calc_healthy_time(
+                samples[_HEALTHY_TIME, i],
+                samples[_SENSOR_TIME, i],
+                samples[_RAW_TIME, i],
+                memory[2],
+                memory[4],
+            )
+        lag = samples[_SENSOR_TIME, i] - samples[_HEALTHY_TIME, i]
+        has_lag[i] = lag > _NO_LAG
+    had_obstacle = samples[_HAD_OBSTACLE] > 0.0
+    is_other = find_other_obstacles(
+        verdict[_READING],
+        had_obstacle,
+        samples[_DISTANCE],
+        samples[_SENSOR_TIME],
+        samples[_BEFORE_DISTANCE : _BEFORE_TIME + 1],
+        is_new & (samples[_DISTANCE] != samples[_RAW_DISTANCE]),
+        has_lag,
+        memory[5:7],
+        verdict[_OTHERS],
     )
     is_nearest = hold_obstacles(
         verdict[_READING],
         verdict[_FAULT],
         is_new,
-        is_proven,
-        samples[_HAD_OBSTACLE] > 0.0,
-        verdict[_NO_RETURNS],
-        verdict[_UNMEASURED],
+        is_proven & ~has_lag,
+        is_other,
+        had_obstacle,
+        verdict[_NO_RETURNS : _OTHERS + 1],
         memory[0],
         memory[1],
     )
-    for i in range(verdict.shape[1]):
-        if verdict[_FAULT, i] == _NO_FAULT:
-            samples[_HEALTHY_TIME, i] = samples[_SENSOR_TIME, i]
+    for i in range(n):
+        lag = samples[_SENSOR_TIME, i] - samples[_HEALTHY_TIME, i]
+        if verdict[_FAULT, i] == _NO_FAULT and lag > memory[3]:
+            verdict[_FAULT, i] = _UNRELIABLE
         if verdict[_READING, i] != _HELD:
             continue
         motion[0, i] = report[_POSITION]
@@ -587,8 +623,10 @@ def mask_scans(
     n = num_sensors // len(scans)
     samples = _make_no_samples(num_sensors).copy()
     verdict = np.zeros((_VERDICT_ROWS, num_sensors), dtype=np.int64)
-    held = [
-        scan is not None and _load_scan(samples, verdict, n * i, n, scan, was)
+    newest = [
+        None
+        if scan is None
+        else _load_scan(samples, verdict, n * i, n, scan, was)
         for i, (scan, was) in enumerate(zip(scans, before, strict=True))
     ]
     motion = np.empty((2, num_sensors, 6))
@@ -624,7 +662,7 @@ def mask_scans(
         time,
         table[-1],
         np.zeros(num_sensors, dtype=bool) if is_dead is None else is_dead,
-        (memory.clear_samples, memory.sigma_samples),
+        np.array(dc.astuple(memory)),
         motion,
     )
     # The messages are views of these.
@@ -632,11 +670,11 @@ def mask_scans(
         array.setflags(write=False)
     return tuple(
         was
-        if scan is None
+        if raw is None
         else _make_masked_scan(
-            scan, held[i], samples, verdict, motion, slice(n * i, n * i + n)
+            raw, samples, verdict, motion, slice(n * i, n * i + n)
         )
-        for i, (scan, was) in enumerate(zip(scans, before, strict=True))
+        for i, (raw, was) in enumerate(zip(newest, before, strict=True))
     )
 
 
@@ -762,59 +800,87 @@ def _find_proven(
 
 
 def _load_scan(samples, verdict, first, n, scan, before):
-    """Writes a scan into the tables; returns as `_load_ring`."""
+    """Writes a scan into the tables; returns it with all newest samples."""
     if scan.status.shape != (n,):
         raise ValueError(
             f"scan of {len(scan.status)} sensors, but the mask has {n}"
         )
     if before.reading.shape != (n,):
         before = _make_nothing_before(n)
-    new = np.array([scan.sensor_time, scan.distance, scan.status])
-    return _load_ring(samples, verdict, first, new, _stack_before(before))
+    raw = _fill_in(scan, before.raw)
+    new = np.array([raw.sensor_time, raw.distance, raw.status])
+    _load_ring(samples, verdict, first, new, _stack_before(before))
+    return raw
+
+
+def _fill_in(scan, before):
+    """Returns a scan with the sample before in place of "no new data".
+
+    A ring may fire its sensors in turns, or a sensor may take longer: its last
+    sample then stands, with its own time, until it is too old.
+    """
+    missing = scan.status == STATUS_NO_NEW_DATA
+    if not missing.any():
+        return scan
+    arrays = [
+        np.where(missing, old, new)
+        for old, new in (
+            (before.sensor_time, scan.sensor_time),
+            (before.distance, scan.distance),
+            (before.status, scan.status),
+        )
+    ]
+    for array in arrays:
+        array.setflags(write=False)
+    sensor_time, distance, status = arrays
+    return RingScan.of_read_only(
+        sequence=scan.sequence,
+        time=scan.time,
+        sensor_time=sensor_time,
+        distance=distance,
+        status=status,
+        problem=scan.problem,
+    )
 
 
 @functools.cache
 def _make_nothing_before(n):
     """Returns what counts as previous for a ring's first scan of n sensors."""
+    scan = RingScan(
+        sensor_time=np.full(n, -np.inf),
+        distance=np.full(n, np.nan),
+        status=np.full(n, STATUS_NO_NEW_DATA, dtype=np.uint8),
+    )
     return MaskedScan(
-        scan=RingScan(
-            sensor_time=np.full(n, -np.inf),
-            distance=np.full(n, np.nan),
-            status=np.full(n, STATUS_NO_NEW_DATA, dtype=np.uint8),
-        ),
+        scan=scan,
+        raw=scan,
         reading=np.full(n, Reading.FAULTED, dtype=np.uint8),
         fault=np.full(n, SensorFault.NO_DATA, dtype=np.uint8),
         healthy_time=np.full(n, -np.inf),
         no_returns=np.zeros(n, dtype=np.int64),
         unmeasured=np.zeros(n, dtype=np.int64),
+        others=np.zeros(n, dtype=np.int64),
         previous_distance=np.full(n, np.nan),
         previous_time=np.full(n, -np.inf),
     )
 
 
-def _make_masked_scan(scan, is_held, samples, verdict, motion, sensors):
-    raw = scan
+def _make_masked_scan(raw, samples, verdict, motion, sensors):
+    """Returns the message for a ring whose newest samples are `raw`."""
     distance = samples[_COUNTED, sensors]
     reading = verdict[_READING, sensors].astype(np.uint8)
     fault = verdict[_FAULT, sensors].astype(np.uint8)
     for array in (reading, fault):
         array.setflags(write=False)
-    if (
-        is_held
-        or (reading == _HELD).any()
-        or distance.tobytes() != scan.distance.tobytes()
-    ):
-        status = scan.status
-        if is_held:
-            status = samples[_STATUS, sensors].astype(np.uint8)
-            status.setflags(write=False)
+    scan = raw
+    if (reading == _HELD).any() or distance.tobytes() != raw.distance.tobytes():
         scan = RingScan.of_read_only(
-            sequence=scan.sequence,
-            time=scan.time,
+            sequence=raw.sequence,
+            time=raw.time,
             sensor_time=samples[_SENSOR_TIME, sensors],
             distance=distance,
-            status=status,
-            problem=scan.problem,
+            status=raw.status,
+            problem=raw.problem,
         )
     return MaskedScan.of_read_only(
         scan=scan,
@@ -824,6 +890,7 @@ def _make_masked_scan(scan, is_held, samples, verdict, motion, sensors):
         healthy_time=samples[_HEALTHY_TIME, sensors],
         no_returns=verdict[_NO_RETURNS, sensors],
         unmeasured=verdict[_UNMEASURED, sensors],
+        others=verdict[_OTHERS, sensors],
         self_nearest=samples[_NEAREST, sensors],
         self_farthest=samples[_FARTHEST, sensors],
         previous_distance=samples[_PREVIOUS_DISTANCE, sensors],

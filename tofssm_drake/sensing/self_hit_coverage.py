@@ -18,7 +18,7 @@ def calc_verifiable_share(
         step: between looks, s of path time.
 
     Returns:
-        0 to 1, ring by ring, (m, n).
+        0 to 1, ring by ring, (m, n); 0 for sensors that are declared dead.
     """
     m, n = len(model.name), model.num_sensors
     times = np.arange(0.0, path.duration, step)
@@ -28,6 +28,8 @@ def calc_verifiable_share(
         look = Look(
             rings=tuple(range(m)),
             which=np.ones(m * n, dtype=bool),
+            sampled=np.ones(m * n, dtype=bool),
+            time=np.zeros(m * n),
             distance=np.zeros(m * n),
             status=np.zeros(m * n, dtype=np.uint8),
             q=q,
@@ -39,6 +41,7 @@ def calc_verifiable_share(
         expectation = make_no_expectation(m * n)
         expect(model, look, model.believed, expectation)
         count += must_see(expectation, *model.limits[1:]).reshape(m, n)
+    count[model.is_dead.reshape(m, n)] = 0.0
     return count / len(times)
 
 

@@ -21,12 +21,11 @@ from pydrake.systems.framework import (
 
 from tofssm_drake.errors import require_period
 from tofssm_drake.geometry.ray_caster import RayBundles, RayCaster
-from tofssm_drake.kernels import njit
 from tofssm_drake.messages import (
     RINGS,
     MaskedScan,
+    Reading,
     RingHealth,
-    RingScan,
     SelfHitHealth,
     SensorFault,
     Separation,
@@ -70,9 +69,10 @@ from tofssm_drake.sensing.vl53l1x import (
 # rad/s.
 _STILL = 0.05
 
-# Samples of a scan farther apart than this are not compared with a single pose
-# of the robot, s (*assumed*: half a ring's period).
-_SPREAD = 0.012
+# Samples farther apart than this are not compared with a single pose of the
+# robot, s (*assumed*: at 1.7 m/s the robot moves by a third of the mask's
+# tolerance in that time).
+_SPREAD = 0.006
 
 # For this long after gripper or product count has changed, it is uncertain what
 # the robot carried at a sample's time, s (*assumed*: more than a sample's
@@ -114,6 +114,8 @@ class SelfHitModel:
     """Scores of `calc_step`."""
     time_margin: float
     """Uncertainty of a sample's time, s."""
+    is_dead: np.ndarray
+    """Sensors that are declared dead and do not count, (N,)."""
 
     @property
     def num_sensors(self) -> int:
@@ -147,6 +149,7 @@ def make_self_hit_model(
     caster: RayCaster,
     mounts: Sequence[RingMount],
     twin: Twin,
+    is_dead: np.ndarray | None = None,
     name: tuple[str, ...] = RINGS,
 ) -> SelfHitModel:
     """Makes the model of what rings should see.
@@ -158,12 +161,14 @@ def make_self_hit_model(
         caster: of the twin's SceneGraph.
         mounts: the rings on the twin.
         twin: gives the poses of `caster.frame_ids`.
+        is_dead: sensors that are declared dead, ring by ring, (N,); None: none.
         name: of the rings, in the order of `mounts`.
 
     Raises:
         UserError: if a setting is out of range.
     """
     config.check("self_hits")
+    num_sensors = sum(len(mount.X_FS) for mount in mounts)
     fan_S, num_wide = make_self_hit_fan(config, mask_config, ring_config)
     max_range = calc_cast_range(ring_config.sensor) + mask_config.tolerance
     misfits = list_misfits(config, len(mounts))
@@ -196,6 +201,9 @@ def make_self_hit_model(
             config.score_limit,
         ),
         time_margin=mask_config.time_margin,
+        is_dead=np.zeros(num_sensors, dtype=bool)
+        if is_dead is None
+        else is_dead,
     )
 
 
@@ -225,7 +233,9 @@ class SelfHitState:
     expectation: np.ndarray
     """What was expected of each sensor at its last look, (3, N)."""
     position: np.ndarray
-    """Joints when each ring was last looked at for misfits, rad, (m, 6)."""
+    """Joints when each sensor last counted for misfits, rad, (N, 6)."""
+    time: np.ndarray
+    """Of each sensor's last sample that counted, s, (N,); -inf: none."""
     sequence: np.ndarray
     """Of the last scan of each ring, (m,); -1: none."""
     carried: np.ndarray
@@ -248,7 +258,8 @@ def _lay_out(rings, sensors, tests):
         "ride_last": (sensors, 3),
         "ride_unfit": (sensors,),
         "expectation": (3, sensors),
-        "position": (rings, 6),
+        "position": (sensors, 6),
+        "time": (sensors,),
         "sequence": (rings,),
         "carried": (3,),
         "rest": (1,),
@@ -276,6 +287,7 @@ def make_state_vector(model: SelfHitModel) -> np.ndarray:
     state.expectation[:] = make_no_expectation(len(state.sensor_sum))
     state.ride_start[:] = np.inf
     state.position[:] = np.inf
+    state.time[:] = -np.inf
     state.sequence[:] = -1.0
     state.carried[2] = -np.inf
     return vector
@@ -302,6 +314,10 @@ class Look:
     """Which rings have been looked at."""
     which: np.ndarray
     """Whether a sensor belongs to them, (N,)."""
+    sampled: np.ndarray
+    """Whether a sensor's sample is new and of this time, (N,)."""
+    time: np.ndarray
+    """Of each sensor's sample, s, (N,)."""
     distance: np.ndarray
     """As measured, m, (N,)."""
     status: np.ndarray
@@ -316,96 +332,79 @@ class Look:
     products_placed: float
 
 
-@njit(cache=True)
-def average_motion(sensor_time, position, velocity, limit, near, motion):
-    """Averages the robot's motion over samples that are close together.
+def make_looks(
+    masked_scans: Sequence[MaskedScan],
+    counted_time: np.ndarray,
+    carried: np.ndarray,
+    is_dead: np.ndarray,
+) -> list[Look]:
+    """Makes looks of new samples, one for all that were taken together.
 
     Args:
-        sensor_time: of a ring's samples, s, (n,); those that are not finite
-            do not count.
-        position: joints at these times, rad, (n, 6).
-        velocity: their speeds, rad/s, (n, 6).
-        limit: samples older than the newest by more than this do not count, s.
-        near: result, which samples count, (n,).
-        motion: result, means of both, (2, 6).
+        masked_scans: of m rings of n sensors each.
+        counted_time: of each sensor's last sample that counted, s, (N,).
+        carried: gripper closed and products placed, (2,).
+        is_dead: sensors that do not count, (N,).
 
     Returns:
-        Half the span of the times, s; -1: there is no sample.
+        Looks at samples that are newer than those, oldest first.
     """
-    newest = -np.inf
-    oldest = np.inf
-    for t in sensor_time:
-        if t < np.inf:
-            newest = max(newest, t)
-    count = 0
-    motion[:] = 0.0
-    for i in range(sensor_time.shape[0]):
-        near[i] = abs(newest - sensor_time[i]) <= limit
-        if near[i]:
-            oldest = min(oldest, sensor_time[i])
-            motion[0] += position[i]
-            motion[1] += velocity[i]
-            count += 1
-    if count == 0:
-        return -1.0
-    motion /= count
-    return 0.5 * (newest - oldest)
-
-
-def make_looks(
-    scans: Sequence[RingScan | None],
-    masked_scans: Sequence[MaskedScan],
-    carried: np.ndarray,
-) -> list[Look]:
-    """Makes looks of new scans, one for all rings that sampled together.
-
-    Args:
-        scans: unmasked, of n sensors each; None where there is none.
-        masked_scans: of the same scans, for the robot's motion.
-        carried: gripper closed and products placed, (2,).
-    """
-    groups: dict[bytes, list[int]] = {}
-    for ring, scan in enumerate(scans):
-        if scan is not None:
-            groups.setdefault(scan.sensor_time.tobytes(), []).append(ring)
-    looks = []
-    for rings in groups.values():
-        first = scans[rings[0]]
-        masked_scan = masked_scans[rings[0]]
-        shape = len(scans), len(first.status)
-        near = np.empty(shape[1], dtype=bool)
-        motion = np.empty((2, 6))
-        spread = average_motion(
-            first.sensor_time,
-            masked_scan.position,
-            masked_scan.velocity,
-            _SPREAD,
-            near,
-            motion,
+    scans = [masked_scan.raw for masked_scan in masked_scans]
+    n = max(len(scan.status) for scan in scans)
+    if n == 0:
+        return []
+    time, distance, status = (
+        _stack(scans, n, name, empty)
+        for name, empty in (
+            ("sensor_time", -np.inf),
+            ("distance", 0.0),
+            ("status", STATUS_NO_NEW_DATA),
         )
-        if spread < 0.0:
-            continue
-        distance = np.zeros(shape)
-        status = np.full(shape, STATUS_NO_NEW_DATA, dtype=np.uint8)
-        which = np.zeros(shape, dtype=bool)
-        for ring in rings:
-            distance[ring] = scans[ring].distance
-            status[ring, near] = scans[ring].status[near]
-            which[ring] = True
+    )
+    motion = np.stack(
+        [
+            _stack(masked_scans, n, name, 0.0, 6)
+            for name in ("position", "velocity")
+        ]
+    )
+    # A held reading comes with the robot's motion of another time.
+    is_held = _stack(masked_scans, n, "reading", 0) == Reading.HELD
+    rest = (time > counted_time) & np.isfinite(time) & ~is_dead
+    looks = []
+    while rest.any():
+        first = time[rest].min()
+        sampled = rest & (time <= first + _SPREAD)
+        rest &= ~sampled
+        timed = sampled & ~is_held if (sampled & ~is_held).any() else sampled
+        q, qd = motion[:, timed].mean(axis=1)
+        rings = np.flatnonzero(sampled.reshape(-1, n).any(axis=1))
         looks.append(
             Look(
-                rings=tuple(rings),
-                which=which.ravel(),
-                distance=distance.ravel(),
-                status=status.ravel(),
-                q=motion[0],
-                qd=motion[1],
-                spread=spread,
+                rings=tuple(rings.tolist()),
+                which=np.repeat(np.isin(np.arange(len(scans)), rings), n),
+                sampled=sampled,
+                time=time,
+                distance=distance,
+                status=np.where(sampled, status, STATUS_NO_NEW_DATA),
+                q=q,
+                qd=qd,
+                spread=0.5 * float(np.ptp(time[sampled])),
                 gripper_closed=float(carried[0]),
                 products_placed=float(carried[1]),
             )
         )
     return looks
+
+
+def _stack(messages, n, name, empty, *shape):
+    """Returns an array of all rings, (N, ...); `empty` where there is none."""
+    arrays = (np.asarray(getattr(message, name)) for message in messages)
+    return np.concatenate(
+        [
+            array if len(array) == n else np.full((n, *shape), empty)
+            for array in arrays
+        ]
+    )
 
 
 def expect(
@@ -480,11 +479,10 @@ def count_look(model: SelfHitModel, state: SelfHitState, look: Look) -> None:
     )
     _count_rides(model, state, look, outcome, origin)
     state.expectation[:, look.which] = expectation[:, look.which]
-    first = look.rings[0]
-    if np.abs(look.q - state.position[first]).max() < config.min_motion:
+    before = state.position[look.sampled][0]
+    if np.abs(look.q - before).max() < config.min_motion:
         return
-    for ring in look.rings:
-        state.position[ring] = look.q
+    state.position[look.sampled] = look.q
     if not (is_odd or state.misfit_sum.any()):
         return
     odd = (outcome >= MISS).reshape(-1, n).any(axis=1)
@@ -688,9 +686,10 @@ class SelfHitWatch(LeafSystem):
         output_ports:
         - self_hit_health
 
-    Once a period, new scans count in all tests (`count_look`). Skipping some
-    scans does no harm: the tests take seconds. The masked scans hold the scans
-    as they came, and the robot's motion at the samples' times. An alarm ends
+    Once a period, each sensor's newest sample counts in all tests
+    (`count_look`). Skipping some samples does no harm: the tests take seconds.
+    The masked scans hold the samples as they came, and the robot's motion at
+    their times. An alarm ends
     when the readings have spoken for the model as much as against it.
     """
 
@@ -742,15 +741,13 @@ class SelfHitWatch(LeafSystem):
         self, context: Context, discrete_state: DiscreteValues
     ) -> EventStatus:
         masked_scans = [port.Eval(context) for port in self._masked_scans]
-        scans = [masked_scan.raw for masked_scan in masked_scans]
         now = context.get_discrete_state(self._state).value()
         before = view_state(self._model, now)
-        sequence = [scan.sequence for scan in scans]
+        sequence = [scan.raw.sequence for scan in masked_scans]
         report = self._report.Eval(context)
         carried = report[-2:]
         has_changed = (carried != before.carried[:2]).any()
-        last = before.sequence.tolist()
-        if sequence == last and not has_changed:
+        if sequence == before.sequence.tolist() and not has_changed:
             return EventStatus.DidNothing()
         state = view_state(
             self._model, discrete_state.get_mutable_value(self._state)
@@ -767,15 +764,11 @@ class SelfHitWatch(LeafSystem):
             if state.rest[0] % _REST_LOOKS:
                 return EventStatus.Succeeded()
         looks = make_looks(
-            [
-                scan if was != scan.sequence else None
-                for scan, was in zip(scans, last, strict=True)
-            ],
-            masked_scans,
-            carried,
+            masked_scans, before.time, carried, self._model.is_dead
         )
         for look in looks:
             count_look(self._model, state, look)
+            state.time[look.sampled] = look.time[look.sampled]
         return EventStatus.Succeeded()
 
     def _calc_health(self, context: Context, output):
