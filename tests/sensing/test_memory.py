@@ -31,7 +31,8 @@ class Sensor:
         fault=NONE,
         *,
         is_new=True,
-        is_certain=True,
+        is_proven=True,
+        has_lag=False,
         is_other=False,
     ):
         """Returns the reading and whether it is held at 0 m."""
@@ -40,7 +41,8 @@ class Sensor:
             readings,
             np.array([fault]),
             np.array([is_new]),
-            np.array([is_certain]),
+            np.array([is_proven]),
+            np.array([has_lag]),
             np.array([is_other]),
             np.array([self.reading in (VALID, HELD)]),
             self.counts,
@@ -84,11 +86,11 @@ class TestHoldObstacles(unittest.TestCase):
         dut = Sensor()
         dut.take(VALID)
         for _ in range(5):
-            self.assertEqual(dut.take(CLEAR, is_certain=False)[0], HELD)
+            self.assertEqual(dut.take(CLEAR, is_proven=False)[0], HELD)
         self.assertEqual(dut.take(CLEAR)[0], HELD)
         self.assertEqual(dut.take(CLEAR)[0], CLEAR)
         # It must not have seen anything for that to matter.
-        self.assertEqual(dut.take(CLEAR, is_certain=False)[0], CLEAR)
+        self.assertEqual(dut.take(CLEAR, is_proven=False)[0], CLEAR)
 
     def test_a_fault_holds_what_was_there_and_nothing_else(self):
         self.check(
@@ -124,6 +126,15 @@ class TestHoldObstacles(unittest.TestCase):
         dut.take(CLEAR)
         dut.take(CLEAR)
         self.assertEqual(dut.take(FAULTED, SIGMA), (FAULTED, False))
+
+    def test_a_sensor_that_failed_lately_is_not_clear(self):
+        dut = Sensor()
+        dut.take(VALID)
+        for _ in range(5):
+            self.assertEqual(dut.take(CLEAR, has_lag=True)[0], HELD)
+        self.assertEqual(dut.take(CLEAR)[0], CLEAR)
+        # It must not have seen anything for that to matter.
+        self.assertEqual(dut.take(CLEAR, has_lag=True)[0], CLEAR)
 
     def test_another_obstacle_must_be_seen_twice(self):
         dut = Sensor()

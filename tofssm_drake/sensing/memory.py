@@ -125,7 +125,8 @@ def hold_obstacles(
     reading,
     fault,
     is_new,
-    is_certain,
+    is_proven,
+    has_lag,
     is_other,
     had_obstacle,
     counts,
@@ -138,8 +139,10 @@ def hold_obstacles(
         reading: `Reading` of each sensor's sample by itself, (n,); changed.
         fault: `SensorFault` of each sensor, (n,).
         is_new: whether the sample differs from that of the scan before, (n,).
-        is_certain: whether a sample without a return may be believed, (n,):
-            the sensor has no lag, and its ring sees the robot where it must.
+        is_proven: whether the sensor's ring sees the robot where it must, (n,);
+            if not, a sample without a return confirms nothing.
+        has_lag: whether the sensor failed lately, (n,): no obstacle of it
+            disappears.
         is_other: see `find_other_obstacles`, (n,).
         had_obstacle: whether the reading before was VALID or HELD, (n,).
         counts: samples in a row without a return; with a target but no
@@ -159,7 +162,7 @@ def hold_obstacles(
             reading[i] = _FAULTED
             continue
         is_clear = fault[i] == _NONE and reading[i] == _CLEAR
-        if not is_clear or not is_certain[i]:
+        if not is_clear or not is_proven[i]:
             no_returns[i] = 0
         elif is_new[i]:
             no_returns[i] += 1
@@ -169,7 +172,7 @@ def hold_obstacles(
             unmeasured[i] = 0
         is_unknown = (
             fault[i] != _NONE
-            or (reading[i] == _CLEAR and no_returns[i] < clear_samples)
+            or (is_clear and (has_lag[i] or no_returns[i] < clear_samples))
             or (is_other[i] and others[i] < clear_samples)
         )
         if had_obstacle[i] and is_unknown:
