@@ -121,7 +121,7 @@ class TestImports(unittest.TestCase):
         import sys
 
         known = {
-            *("pydrake", "jinja2", "matplotlib", "numba", "numpy"),
+            *("cobs", "pydrake", "jinja2", "matplotlib", "numba", "numpy"),
             *("pyarrow", "rich", "ruckig", "serial", "typer", "yaml"),
             *("collada", "dask", "distributed", "mcap", "tofssm_drake"),
             "trimesh",

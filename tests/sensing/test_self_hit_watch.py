@@ -67,12 +67,12 @@ class World:
         row = {f: i for i, f in enumerate(self.caster.frame_ids)}
         self.human_rows = [row[f] for f in human_frames]
         others = [f for f in row if f not in set(human_frames)]
+        self.twin_rows = [row[f] for f in others]
         scenario = Scenario()
         self.poses = TwinPoses.from_plant(
             plant,
             layout=ProductLayout.from_config(scenario.program),
             frame_ids=others,
-            rows=[row[f] for f in others],
         )
 
     def make_bundles(self, turn=0.0, shift=0.0):
@@ -94,7 +94,9 @@ class World:
 
     def cast(self, bundles, q, gripper_closed, products_placed, time):
         X_WF = np.empty((len(self.caster.frame_ids), 3, 4))
-        self.poses.calc(q, gripper_closed, products_placed, X_WF)
+        X_WF[self.twin_rows] = self.poses.calc(
+            q, gripper_closed, products_placed
+        )
         if self.motion is not None:
             ends = capsule_ends(self.motion, time)
             person = np.empty((len(ends), 3, 4))
