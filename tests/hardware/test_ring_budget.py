@@ -343,8 +343,8 @@ class TestEnd(unittest.TestCase):
         problem = ring.problem
         ring.period = _PERIOD
         ring.step(flags=FLAG_RESTARTED)
-        told = ring.time
-        while ring.time < told + 1.5:
+        start = ring.time
+        while ring.time < start + 1.5:
             ring.step()
             self.assertEqual(ring.problem, problem)
         ring.run(1.0)

@@ -150,9 +150,9 @@ class TestRingReceiver(unittest.TestCase):
             receiver = make_receiver()
             run(receiver, range(2000, 2100))
             self.assertFalse(receiver.is_contested)
-            told = []
+            scans = []
             for k in range(2100, 2200):
-                told += run(receiver, [k])
+                scans += run(receiver, [k])
                 scan = make_scan(k, seed=1)
                 frame = make_frame(
                     dc.replace(scan, sequence=k + offset),
@@ -160,10 +160,10 @@ class TestRingReceiver(unittest.TestCase):
                     timing_budget=_BUDGET,
                     clock=DeviceClock(start=_PERIOD * offset),
                 )
-                told.append(receiver.receive(frame, _HOST + scan.time + 0.004))
+                scans.append(receiver.receive(frame, _HOST + scan.time + 0.004))
             with self.subTest(offset=offset):
                 # Within a second; before, the clock may be unknown.
-                late = [scan for scan in told[-120:] if scan is not None]
+                late = [scan for scan in scans[-120:] if scan is not None]
                 self.assertGreater(len(late), 50)
                 for scan in late:
                     np.testing.assert_array_equal(scan.status, STATUS_CONTESTED)

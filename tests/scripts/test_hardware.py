@@ -153,7 +153,7 @@ class TestHardware(unittest.TestCase):
         with mock.patch.object(
             os, "sched_setscheduler", side_effect=PermissionError
         ) as ask:
-            for options, told in (((), False), (("--real-time",), True)):
+            for options, asked in (((), False), (("--real-time",), True)):
                 with (
                     self.subTest(options=options),
                     serve(make_robot(start="heartbeat")) as server,
@@ -164,9 +164,9 @@ class TestHardware(unittest.TestCase):
                     )
                     self.assertEqual(code, 0, err)
                     self.assertIn("ran for 0.5 s", out)
-                    self.assertEqual(ask.called, told)
+                    self.assertEqual(ask.called, asked)
                     self.assertEqual(
-                        "the system does not grant a real-time" in err, told
+                        "the system does not grant a real-time" in err, asked
                     )
 
     def test_the_tick_is_the_robots(self):
@@ -381,15 +381,15 @@ class TestHardware(unittest.TestCase):
         self.assertIn("no package for 0.1 s", err)
         self.assertIn("robot: all is well again", err)
         ticks = list(RunReader(path).read_ticks())
-        anew = [
+        restarts = [
             (a, b)
             for a, b in itertools.pairwise(ticks)
             if b.report.session != a.report.session
         ]
         # A busy computer may cause more of them.
-        stalls = [a for a, b in anew if b.report.time - a.report.time > 0.4]
+        stalls = [a for a, b in restarts if b.report.time - a.report.time > 0.4]
         self.assertGreaterEqual(len(stalls), 1)
-        for _, first in anew:
+        for _, first in restarts:
             self.assertEqual(first.command.speed_fraction, 0.0)
             self.assertEqual(first.command.mask, 1)
 

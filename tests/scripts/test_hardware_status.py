@@ -154,12 +154,12 @@ class TestChanges(unittest.TestCase):
             make_result(0.2, RobotState.NORMAL, slider=later),
             make_result(0.3, RobotState.NORMAL, problem="base is faulted"),
         ]
-        told = [bool(changes.find(r)) for r in results]
-        self.assertEqual(told, [True, True, False, True])
+        found = [bool(changes.find(r)) for r in results]
+        self.assertEqual(found, [True, True, False, True])
         # In a dry run nobody expects the slider to obey.
         changes = mut.Changes(dry_run=True)
-        told = [bool(changes.find(r)) for r in results]
-        self.assertEqual(told, [True, False, False, True])
+        found = [bool(changes.find(r)) for r in results]
+        self.assertEqual(found, [True, False, False, True])
 
 
 class TestThread(unittest.TestCase):
