@@ -4,7 +4,7 @@ from collections.abc import Sequence
 import dataclasses as dc
 import functools
 import math
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from pydrake.common.value import Value
@@ -585,79 +585,91 @@ def mask_scans(
     """
     num_sensors = bundles.num_bundles
     n = num_sensors // len(scans)
-    samples = _make_no_samples(num_sensors).copy()
-    verdict = np.zeros((_VERDICT_ROWS, num_sensors), dtype=np.int64)
+    tables = _Tables(
+        samples=_make_no_samples(num_sensors).copy(),
+        verdict=np.zeros((_VERDICT_ROWS, num_sensors), dtype=np.int64),
+        motion=np.empty((2, num_sensors, 6)),
+        sensors_per_ring=n,
+    )
     held = [
-        scan is not None and _load_scan(samples, verdict, n * i, n, scan, was)
+        scan is not None and _load_scan(tables, n * i, scan, was)
         for i, (scan, was) in enumerate(zip(scans, before, strict=True))
     ]
-    motion = np.empty((2, num_sensors, 6))
-    _compare_with_twin(
-        config,
-        samples=samples,
-        verdict=verdict,
-        motion=motion,
-        sensors_per_ring=n,
-        time=time,
-        table=table,
-        caster=caster,
-        bundles=bundles,
-        twin=twin,
-    )
+    view = _View(table, caster, twin)
+    _compare_with_twin(config, tables, view, bundles, time)
     is_proven = np.ones(num_sensors, dtype=bool)
     if config.enabled and proof_bundles is not None:
-        is_proven = _find_proven(
-            samples=samples,
-            verdict=verdict,
-            sensors_per_ring=n,
-            table=table,
-            caster=caster,
-            bundles=proof_bundles,
-            twin=twin,
-            least=config.min_range,
-        )
-    memory = config.memory
+        is_proven = _find_proven(tables, view, proof_bundles, config.min_range)
     _remember(
-        samples,
-        verdict,
+        tables.samples,
+        tables.verdict,
         is_proven,
         time,
         table[-1],
         np.zeros(num_sensors, dtype=bool) if is_dead is None else is_dead,
-        (memory.clear_samples, memory.sigma_samples),
-        motion,
+        (config.memory.clear_samples, config.memory.sigma_samples),
+        tables.motion,
     )
     # The messages are views of these.
-    for array in (samples, motion, verdict):
+    for array in (tables.samples, tables.verdict, tables.motion):
         array.setflags(write=False)
     return tuple(
         was
         if scan is None
-        else _make_masked_scan(
-            scan, held[i], samples, verdict, motion, slice(n * i, n * i + n)
-        )
+        else _make_masked_scan(tables, scan, held[i], slice(n * i, n * i + n))
         for i, (scan, was) in enumerate(zip(scans, before, strict=True))
     )
 
 
-def _compare_with_twin(
-    config,
-    *,
-    samples,
-    verdict,
-    motion,
-    sensors_per_ring,
-    time,
-    table,
-    caster,
-    bundles,
-    twin,
-):
+class _Tables(NamedTuple):
+    """What is known of all N sensors of the rings."""
+
+    samples: np.ndarray
+    """See `_make_no_samples`, (15, N)."""
+    verdict: np.ndarray
+    """Readings, faults, numbers of samples in a row, (4, N)."""
+    motion: np.ndarray
+    """Joints, rad, and their speeds, rad/s, at the samples, (2, N, 6)."""
+    sensors_per_ring: int
+
+
+class _View(NamedTuple):
+    """The twin, posed as the robot was at the samples' times."""
+
+    table: np.ndarray
+    """The robot's reports, see `make_robot_history`."""
+    caster: RayCaster
+    twin: Twin
+
+    def cast(self, bundles, samples, shift, rest, which):
+        """Casts the rays of sensors that sampled at the same time.
+
+        Args:
+            bundles: the rays of all sensors.
+            samples: the table, (15, N).
+            shift: see `_begin_look`; as the next two.
+            rest: changed.
+            which: changed.
+
+        Returns:
+            Self-hits, m, (N, k), and whether any sensors are left.
+        """
+        report = np.empty(_COLUMNS)
+        more = _begin_look(samples, self.table, shift, rest, which, report)
+        X_WF = self.twin.calc(
+            report[_POSITION],
+            report[_GRIPPER_CLOSED],
+            report[_PRODUCTS_PLACED],
+        )
+        self_distance, _ = self.caster.cast_bundles(bundles, X_WF, which)
+        return self_distance, more
+
+
+def _compare_with_twin(config, tables, view, bundles, time):
     """Fills in what each sample alone means, and the robot's motion."""
-    num_sensors = bundles.num_bundles
-    unsettled = np.empty(num_sensors, dtype=bool)
-    which = np.empty(num_sensors, dtype=bool)
-    report = np.empty(_COLUMNS)
+    samples, verdict, motion, n = tables
+    unsettled = np.empty(samples.shape[1], dtype=bool)
+    which = np.empty(samples.shape[1], dtype=bool)
     limits = (
         config.tolerance,
         config.min_range,
@@ -666,27 +678,16 @@ def _compare_with_twin(
     )
     margin = config.time_margin
     is_unsettled = _begin(
-        samples,
-        table,
-        sensors_per_ring,
-        time,
-        limits,
-        motion,
-        verdict,
-        unsettled,
+        samples, view.table, n, time, limits, motion, verdict, unsettled
     )
     if not config.enabled:
         return
     for shift in (0.0, -margin, margin) if margin > 0.0 else (0.0,):
         more = is_unsettled
         while more:
-            more = _begin_look(samples, table, shift, unsettled, which, report)
-            X_WF = twin.calc(
-                report[_POSITION],
-                report[_GRIPPER_CLOSED],
-                report[_PRODUCTS_PLACED],
+            self_distance, more = view.cast(
+                bundles, samples, shift, unsettled, which
             )
-            self_distance, _ = caster.cast_bundles(bundles, X_WF, which)
             is_unsettled = _end_look(
                 samples,
                 which,
@@ -735,34 +736,29 @@ def _count_sure_hits(self_distance, which, least, hits):
                     hits[i] += 1
 
 
-def _find_proven(
-    *, samples, verdict, sensors_per_ring, table, caster, bundles, twin, least
-):
+def _find_proven(tables, view, bundles, least):
     """Returns for each sensor whether its ring sees the robot where it must.
 
     Only rings in which a sensor is about to become clear are looked at; the
     others count as proven.
     """
-    rest = _choose_to_prove(samples, verdict, sensors_per_ring)
+    n = tables.sensors_per_ring
+    rest = _choose_to_prove(tables.samples, tables.verdict, n)
     hits = np.zeros(len(rest), dtype=int)
     which = np.empty(len(rest), dtype=bool)
-    report = np.empty(_COLUMNS)
     more = bool(rest.any())
     while more:
-        more = _begin_look(samples, table, 0.0, rest, which, report)
-        X_WF = twin.calc(
-            report[_POSITION],
-            report[_GRIPPER_CLOSED],
-            report[_PRODUCTS_PLACED],
+        self_distance, more = view.cast(
+            bundles, tables.samples, 0.0, rest, which
         )
-        self_distance, _ = caster.cast_bundles(bundles, X_WF, which)
         _count_sure_hits(self_distance, which, least, hits)
-    misses = (hits >= 2).reshape(-1, sensors_per_ring).any(axis=1)
-    return np.repeat(~misses, sensors_per_ring)
+    misses = (hits >= 2).reshape(-1, n).any(axis=1)
+    return np.repeat(~misses, n)
 
 
-def _load_scan(samples, verdict, first, n, scan, before):
+def _load_scan(tables, first, scan, before):
     """Writes a scan into the tables; returns as `_load_ring`."""
+    n = tables.sensors_per_ring
     if scan.status.shape != (n,):
         raise ValueError(
             f"scan of {len(scan.status)} sensors, but the mask has {n}"
@@ -770,7 +766,9 @@ def _load_scan(samples, verdict, first, n, scan, before):
     if before.reading.shape != (n,):
         before = _make_nothing_before(n)
     new = np.array([scan.sensor_time, scan.distance, scan.status])
-    return _load_ring(samples, verdict, first, new, _stack_before(before))
+    return _load_ring(
+        tables.samples, tables.verdict, first, new, _stack_before(before)
+    )
 
 
 @functools.cache
@@ -792,7 +790,9 @@ def _make_nothing_before(n):
     )
 
 
-def _make_masked_scan(scan, is_held, samples, verdict, motion, sensors):
+def _make_masked_scan(tables, scan, is_held, sensors):
+    """Makes a ring's message of views of the tables, at its sensors."""
+    samples, verdict, motion, _ = tables
     raw = scan
     distance = samples[_COUNTED, sensors]
     reading = verdict[_READING, sensors].astype(np.uint8)
