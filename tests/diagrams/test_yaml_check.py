@@ -113,7 +113,10 @@ class TestCheckYaml(unittest.TestCase):
             ("a: &a [1, *a]", "cell.yaml:1: must not contain itself"),
             ("<<: 3", "cell.yaml:1: <<: must name mappings to merge"),
             ("human: {<<: [1]}", "<<: must name mappings to merge"),
-            ("sensors: 010", "plain decimals, not '010', which YAML reads as 8"),
+            (
+                "sensors: 010",
+                "plain decimals, not '010', which YAML reads as 8",
+            ),
             ("sensors: -010", "'-010', which YAML reads as -8"),
             ("sensors: 0x10", "'0x10', which YAML reads as 16"),
             ("sensors: 0b11", "'0b11', which YAML reads as 3"),
