@@ -26,6 +26,15 @@ from tofssm_drake.robot.kinematics import RingKinematics
 from tofssm_drake.robot.program import make_program_path
 from tofssm_drake.ssm.sensing_problem import SensingProblem
 
+# Ports of the receiver that are the station's, in order.
+_REPORTED = (
+    "position_measured",
+    "velocity_measured",
+    "gripper_closed",
+    "products_placed",
+    "task_done",
+)
+
 
 @dc.dataclass(frozen=True, eq=False, kw_only=True)
 class HardwareStation(Station):
@@ -115,13 +124,7 @@ def make_hardware_station(
     _add_slider(
         builder, subscriber, commanded, slider, make_law(scenario).deadline
     )
-    for name in (
-        "position_measured",
-        "velocity_measured",
-        "gripper_closed",
-        "products_placed",
-        "task_done",
-    ):
+    for name in _REPORTED:
         builder.ExportOutput(receiver.GetOutputPort(name), name)
     builder.ExportOutput(scene_graph.get_query_output_port(), "geometry_query")
     builder.ExportOutput(world.skeleton, "skeleton")

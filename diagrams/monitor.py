@@ -108,6 +108,21 @@ def make_monitor(
         UserError: If the lidar has no free view.
     """
     builder = DiagramBuilder()
+    separation, masked_scans = _add_sensing(builder, scenario, person_radii)
+    _add_law(builder, scenario, separation)
+    for port in masked_scans:
+        builder.ExportOutput(port, port.get_name())
+    diagram = builder.Build()
+    diagram.set_name("monitor")
+    return diagram
+
+
+def _add_sensing(builder, scenario, person_radii):
+    """Adds the sensing with its inputs.
+
+    Returns:
+        The system with the separation, and the further outputs.
+    """
     # The twin's SceneGraph only provides the shapes, once: it is not in the
     # Diagram, and poses are computed by TwinPoses.
     scene_graph = SceneGraph()
@@ -118,23 +133,19 @@ def make_monitor(
         meshes=scenario.robot_meshes,
     )
     kinematics = RingKinematics.from_plant(plant)
-    law = make_law(scenario)
-    masked_scans = []
     if scenario.sensing == "ideal":
-        separation = _add_ideal(builder, scenario, kinematics, person_radii)
-    elif scenario.sensing == "lidar":
-        separation = _add_lidar(
-            builder, scenario, scene_graph, plant, kinematics
+        return _add_ideal(builder, scenario, kinematics, person_radii), []
+    if scenario.sensing == "lidar":
+        return (
+            _add_lidar(builder, scenario, scene_graph, plant, kinematics),
+            [],
         )
-    else:
-        separation, masked_scans = _add_rings(
-            builder,
-            scenario,
-            scene_graph,
-            plant,
-            kinematics,
-        )
-    links = get_links(scenario)
+    return _add_rings(builder, scenario, scene_graph, plant, kinematics)
+
+
+def _add_law(builder, scenario, separation):
+    """Adds filter, states and speed fraction; exports all their signals."""
+    law, links = make_law(scenario), get_links(scenario)
     dsi_filter = builder.AddNamedSystem(
         "dsi_filter",
         DsiFilter(config=law, period=scenario.control_period, name=links),
@@ -156,7 +167,6 @@ def make_monitor(
             state.GetOutputPort("robot_state"),
             system.GetInputPort("robot_state"),
         )
-
     for system, names in (
         (trajectory, ("speed_fraction",)),
         (state, ("robot_state", "ring_states", "reason")),
@@ -165,11 +175,6 @@ def make_monitor(
     ):
         for name in names:
             builder.ExportOutput(system.GetOutputPort(name), name)
-    for port in masked_scans:
-        builder.ExportOutput(port, port.get_name())
-    diagram = builder.Build()
-    diagram.set_name("monitor")
-    return diagram
 
 
 def _add_ideal(builder, scenario, kinematics, person_radii):

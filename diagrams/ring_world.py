@@ -217,40 +217,24 @@ def _add_rings(builder, scenario, scene_graph, plant, caster):
 
     Rings of one phase sample together, in one system.
     """
-    inspector = scene_graph.model_inspector()
     systems = []
     for phase in sorted(set(scenario.ring_phases)):
         index = [i for i, p in enumerate(scenario.ring_phases) if p == phase]
-        names = tuple(RINGS[i] for i in index)
-        errors = [
-            draw_sensor_errors(
-                scenario.rings.sensor,
-                sensors=scenario.sensors_per_ring,
-                seed=scenario.random_seed,
-                ring=i,
-            )
-            for i in index
-        ]
+        names = [RINGS[i] for i in index]
+        inspector = scene_graph.model_inspector()
+        mounts = [find_ring_mount(plant, inspector, name) for name in names]
         rings = builder.AddNamedSystem(
             "rings_" + "_".join(names),
             TofRings(
                 config=scenario.rings,
                 caster=caster,
                 bundles=make_ring_bundles(
-                    config=scenario.rings,
-                    caster=caster,
-                    mounts=[
-                        find_ring_mount(plant, inspector, name)
-                        for name in names
-                    ],
+                    config=scenario.rings, caster=caster, mounts=mounts
                 ),
-                errors=SensorErrors(
-                    bias=np.concatenate([e.bias for e in errors]),
-                    gain=np.concatenate([e.gain for e in errors]),
-                ),
+                errors=_draw_errors(scenario, index),
                 phase=phase,
                 noise_scans=_NOISE_SCANS,
-                name=names,
+                name=tuple(names),
             ),
         )
         noise = builder.AddNamedSystem(
@@ -263,11 +247,27 @@ def _add_rings(builder, scenario, scene_graph, plant, caster):
         )
         builder.Connect(noise.get_output_port(), rings.GetInputPort("noise"))
         for name in names:
-            builder.ExportOutput(
-                rings.GetOutputPort(f"scan_{name}"), f"scan_{name}"
-            )
+            port = f"scan_{name}"
+            builder.ExportOutput(rings.GetOutputPort(port), port)
         systems.append(rings)
     return systems
+
+
+def _draw_errors(scenario, index):
+    """Returns the constant errors of all sensors of some rings."""
+    errors = [
+        draw_sensor_errors(
+            scenario.rings.sensor,
+            sensors=scenario.sensors_per_ring,
+            seed=scenario.random_seed,
+            ring=i,
+        )
+        for i in index
+    ]
+    return SensorErrors(
+        bias=np.concatenate([e.bias for e in errors]),
+        gain=np.concatenate([e.gain for e in errors]),
+    )
 
 
 def _add_lidar(builder, scenario, scene_graph, plant, caster):

@@ -168,78 +168,96 @@ def check_yaml(
     Raises:
         UserError: unknown key (with the nearest known one) or wrong type.
     """
-
-    def fail(problem):
-        line = node.start_mark.line + 1 if node.start_mark else 1
-        raise UserError(f"{source}:{line}: {where or 'scenario'}: {problem}")
-
     origin = typing.get_origin(schema)
     if origin in (types.UnionType, typing.Union):
-        schema = _choose(node, typing.get_args(schema), fail)
+        schema = _choose(node, typing.get_args(schema), source, where)
         if schema is None:
             return
         origin = typing.get_origin(schema)
     elif node.tag.startswith("!"):
-        fail(f"takes no kind, but has {node.tag}")
+        _fail(node, source, where, f"takes no kind, but has {node.tag}")
     if dc.is_dataclass(schema):
-        if not isinstance(node, yaml.MappingNode):
-            fail("must be a mapping of keys to values")
-        known = {f.name: f.type for f in dc.fields(schema)}
-        for key, child in get_children(node).items():
-            path = f"{where}.{key}" if where else key
-            if key not in known:
-                near = difflib.get_close_matches(key, known, n=1)
-                line = child.start_mark.line + 1
-                right = (
-                    f"did you mean {near[0]!r}?"
-                    if near
-                    else f"known keys: {', '.join(sorted(known))}"
-                )
-                raise UserError(
-                    f"{source}:{line}: {path}: unknown key; {right}"
-                )
-            check_yaml(child, known[key], source, path)
+        _check_settings(node, schema, source, where)
     elif origin is list or schema is np.ndarray:
-        item = typing.get_args(schema)[0] if origin is list else float
-        if not isinstance(node, yaml.SequenceNode):
-            fail(f"must be a list, e.g. {_EXAMPLES.get(item, '[...]')}")
-        for index, child in enumerate(node.value):
-            is_row = schema is np.ndarray and isinstance(
-                child, yaml.SequenceNode
-            )
-            check_yaml(
-                child, schema if is_row else item, source, f"{where}[{index}]"
-            )
+        _check_list(node, schema, source, where)
     elif origin in (dict, collections.abc.Mapping):
         if not isinstance(node, yaml.MappingNode):
-            fail("must be a mapping of names to values")
+            _fail(node, source, where, "must be a mapping of names to values")
         for key, child in get_children(node).items():
             item = typing.get_args(schema)[1]
             check_yaml(child, item, source, f"{where}.{key}")
     elif schema in _SCALARS:
-        kind = node.tag.rpartition(":")[2]
-        if (
-            not isinstance(node, yaml.ScalarNode)
-            or kind not in _SCALARS[schema]
-            or (schema is float and not _is_number(node, kind))
-        ):
-            value = (
-                repr(node.value)
-                if isinstance(node, yaml.ScalarNode)
-                else "a mapping or list"
+        _check_scalar(node, schema, source, where)
+
+
+def _fail(node, source, where, problem):
+    """Raises UserError for a node."""
+    line = node.start_mark.line + 1 if node.start_mark else 1
+    raise UserError(f"{source}:{line}: {where or 'scenario'}: {problem}")
+
+
+def _check_settings(node, schema, source, where):
+    """Checks a mapping that must fit a dataclass."""
+    if not isinstance(node, yaml.MappingNode):
+        _fail(node, source, where, "must be a mapping of keys to values")
+    known = {f.name: f.type for f in dc.fields(schema)}
+    for key, child in get_children(node).items():
+        path = f"{where}.{key}" if where else key
+        if key not in known:
+            near = difflib.get_close_matches(key, known, n=1)
+            right = (
+                f"did you mean {near[0]!r}?"
+                if near
+                else f"known keys: {', '.join(sorted(known))}"
             )
-            quoted = (
-                "; write it in quotes"
-                if schema is str and isinstance(node, yaml.ScalarNode)
-                else ""
-            )
-            fail(f"must be {_WORDS[schema]}, not {value}{quoted}")
-        if schema in (int, float) and not _DECIMAL.fullmatch(node.value):
-            fail(
-                f"must be {_WORDS[schema]} in plain decimals, not "
-                f"{node.value!r}, which YAML reads as "
-                f"{yaml.safe_load(node.value)}"
-            )
+            _fail(child, source, path, f"unknown key; {right}")
+        check_yaml(child, known[key], source, path)
+
+
+def _check_list(node, schema, source, where):
+    """Checks a list, or an array of one or more dimensions."""
+    is_array = schema is np.ndarray
+    item = float if is_array else typing.get_args(schema)[0]
+    if not isinstance(node, yaml.SequenceNode):
+        _fail(
+            node,
+            source,
+            where,
+            f"must be a list, e.g. {_EXAMPLES.get(item, '[...]')}",
+        )
+    for index, child in enumerate(node.value):
+        is_row = is_array and isinstance(child, yaml.SequenceNode)
+        check_yaml(
+            child, schema if is_row else item, source, f"{where}[{index}]"
+        )
+
+
+def _check_scalar(node, schema, source, where):
+    """Checks a word, a number, or true or false."""
+    kind = node.tag.rpartition(":")[2]
+    is_scalar = isinstance(node, yaml.ScalarNode)
+    if (
+        not is_scalar
+        or kind not in _SCALARS[schema]
+        or (schema is float and not _is_number(node, kind))
+    ):
+        value = repr(node.value) if is_scalar else "a mapping or list"
+        quoted = "; write it in quotes" if schema is str and is_scalar else ""
+        _fail(
+            node,
+            source,
+            where,
+            f"must be {_WORDS[schema]}, not {value}{quoted}",
+        )
+    if schema in (int, float) and not _DECIMAL.fullmatch(node.value):
+        _fail(
+            node,
+            source,
+            where,
+            f"must be {_WORDS[schema]} in plain decimals, not "
+            f"{node.value!r}, which YAML reads as "
+            f"{yaml.safe_load(node.value)}",
+        )
 
 
 def _is_number(node, kind):
@@ -251,7 +269,7 @@ def _is_number(node, kind):
         return False
 
 
-def _choose(node, members, fail):
+def _choose(node, members, source, where):
     """Returns the union's member named by the node's tag; None for null."""
     kind = node.tag.rpartition(":")[2]
     if kind == "null" and type(None) in members:
@@ -263,4 +281,4 @@ def _choose(node, members, fail):
         if member.__name__ == node.tag[1:]:
             return member
     names = ", ".join(f"!{m.__name__}" for m in members)
-    fail(f"unknown kind {node.tag}; one of {names}")
+    _fail(node, source, where, f"unknown kind {node.tag}; one of {names}")

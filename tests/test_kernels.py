@@ -74,7 +74,7 @@ class TestCache(unittest.TestCase):
         callee = self.package / "callee.py"
         callee.write_text(CALLEE)
         self.assertEqual(self.run_program(), (2.0, 0))
-        # A new age is no new source.
+        # A new age is not a new source.
         os.utime(callee, (0, 0))
         self.assertEqual(self.run_program(), (2.0, 1))
         # Of the same length and age, as an installer may leave it.

@@ -27,7 +27,7 @@ _PUBLIC = {"os._exit"}
 
 
 def is_private(name):
-    """Tells whether a name is its owner's own; `__doc__` and such are not."""
+    """Returns whether a name is its owner's own; `__doc__` and such are not."""
     return name.startswith("_") and not name.endswith("__")
 
 

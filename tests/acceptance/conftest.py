@@ -1,4 +1,4 @@
-"""Complete runs, made once for all tests that look at them."""
+"""Complete runs, made once for all tests that use them."""
 
 import dataclasses as dc
 import functools
@@ -16,7 +16,7 @@ from tofssm_drake.evaluation.metrics import calc_summary
 
 @dc.dataclass(frozen=True, kw_only=True)
 class Look:
-    """What a look into the cell shows."""
+    """A view of the cell."""
 
     gripper_closed: bool
     placed: int
@@ -52,7 +52,7 @@ class Looker:
             return self._station.GetOutputPort(name).Eval(context)
 
         query = read("geometry_query")
-        # Copies: what it returns changes as time goes on.
+        # Copies, since the returned values change with time.
         X_WF = [
             RigidTransform(query.GetPoseInWorld(f)) for f in self._frame_ids
         ]
@@ -73,7 +73,7 @@ _FINISHED = {}
 def finish_scenario(name="Default", text=""):
     """Runs to the end; returns scenario, samples and a Look per step.
 
-    Scenarios that are the same by another name or text run once.
+    Equal scenarios with different names or texts run once.
     """
     scenario = load_scenario(name=name, text=text)
     key = json.dumps(dump_scenario(scenario))

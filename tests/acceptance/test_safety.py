@@ -17,8 +17,8 @@ CONFIGURATIONS = ("vo", "vr", "sm")
 def calc_time_in(is_in):
     """Returns for how long a condition has held at each row, s.
 
-    A row's speed fraction is the answer to the state of the same row: both
-    stand from the tick before.
+    A row's speed fraction is the answer to the state of the same row: both are
+    from the tick before.
     """
     held = np.zeros(len(is_in))
     for i in range(1, len(is_in)):
@@ -30,11 +30,11 @@ def calc_deviation(q, s, q_nominal, s_nominal, *, window=12):
     """Largest joint distance to a path given as points, row by row, rad.
 
     Args:
-        q: (n, 6) joints that were measured.
-        s: (n,) how far along the path that should have been, s.
+        q: (n, 6) measured joints.
+        s: (n,) path time at which they should have been reached, s.
         q_nominal: (k, 6) points of the path, joined by straight lines.
-        s_nominal: (k,) the same for them.
-        window: pieces to each side in which the nearest one is looked for.
+        s_nominal: (k,) path times of these points, s.
+        window: number of pieces to each side in which to look for the nearest.
     """
     middle = np.searchsorted(s_nominal, s)
     nearest = np.full(len(q), np.inf)
@@ -76,7 +76,7 @@ class TestWholeRun:
         assert (samples["robot_state"][waits] == RobotState.STOP).all()
         assert (samples["speed_fraction"][waits] == 0.0).all()
         assert np.abs(get_joint_speeds(samples)[waits]).max() < 1e-6
-        # Measured distances are not known then, rather than clear.
+        # Measured distances are then unknown, rather than clear.
         for ring in RINGS:
             unknown = np.isnan(samples[f"{ring}_measured_distance"])
             np.testing.assert_array_equal(
@@ -112,7 +112,7 @@ class TestWholeRun:
         assert np.abs(joint_speed).max() < 0.01
 
     def test_braking_takes_no_longer_than_the_law_assumes(self, samples):
-        """T_stop is 0.4 s; two ticks pass until the command is there."""
+        """T_stop is 0.4 s; the command takes two ticks."""
         psi = samples["robot_state"]
         starts = np.flatnonzero((psi[:-1] != 0) & (psi[1:] == 0)) + 1
         speed = samples["tcp_speed"]
@@ -169,7 +169,7 @@ class TestWholeRun:
             assert (d_R >= d_C - 1e-9).all()
 
     def test_samples_are_fresh(self, samples):
-        """No row rests on a sample older than the law's reaction time."""
+        """No row relies on a sample older than the law's reaction time."""
         for ring in RINGS:
             measured = samples[f"{ring}_sequence"] >= 0
             age = (samples["t"] - samples[f"{ring}_sample_time"])[measured]
@@ -207,7 +207,7 @@ class TestWholeRun:
         # It did stand and slow down on the way.
         assert len(samples) > 1.1 * len(nominal)
         assert deviation.max() < 0.003
-        # The measure sees what is not on the path.
+        # The measure detects points off the path.
         off = get_joints(samples) + np.array([0, 0.02, 0, 0, 0, 0])
         assert (
             calc_deviation(
@@ -237,7 +237,7 @@ class TestProducts:
                 assert X_GP.IsNearlyEqualTo(first, 1e-9)
             p = np.array([X_WP.translation() for _, X_WP in poses])
             assert np.ptp(p[:, 1]) > 1.0
-        # All sit in the gripper in the same way.
+        # All are in the gripper in the same way.
         first = carried[0][0][0]
         for poses in carried.values():
             assert poses[0][0].IsNearlyEqualTo(first, 1e-9)
@@ -254,7 +254,7 @@ class TestProducts:
     def test_nothing_jumps_when_the_gripper_closes_or_opens(self, looks):
         seen = looks("NoHuman")
         p = np.array([[X.translation() for X in look.X_WP] for look in seen])
-        # 0.2 s at 1.7 m/s, and the tool's way up and down.
+        # 0.2 s at 1.7 m/s, and the tool's path up and down.
         assert np.linalg.norm(np.diff(p, axis=0), axis=2).max() < 0.4
 
     def test_ten_lie_in_the_box_at_the_end(self, run, looks):
@@ -361,7 +361,7 @@ class TestBrokenSensing:
 
 
 def test_the_same_law_in_every_run():
-    """The runs above differ in nothing but the configuration."""
+    """The runs above differ only in the configuration."""
     for name in CONFIGURATIONS:
         scenario = load_scenario(text=f"{{ssm: {{configuration: {name}}}}}")
         scenario.ssm.configuration = "vo"

@@ -30,7 +30,7 @@ class TestThePapersCell:
         assert summary["stop_events"] >= 3
         assert summary["reduce_events"] >= 3
         rho = samples["speed_fraction"]
-        # Times at rest that a stretch at full speed follows.
+        # Times at rest that are followed by a stretch at full speed.
         rest = np.flatnonzero(np.diff((rho < 0.01).astype(int)) == -1)
         full = [
             rho[start:end].max() == 1.0
@@ -42,7 +42,7 @@ class TestThePapersCell:
         _, summary = run(text=self.text(ssm))
         if ssm == "sm":
             # Fixed distances are too short for a person who walks in (see
-            # docs/safety_law.md): not hidden, but told with its cause.
+            # docs/safety_law.md): not hidden, but reported with the cause.
             assert summary["contact_while_moving_max_mps"] < 0.4
             for contact in summary["contacts"]:
                 assert contact["cause"] in ("short", "gap", "late")

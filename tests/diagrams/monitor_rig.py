@@ -41,7 +41,7 @@ class Rig:
         self.tick = 0
 
     def deliver(self, ring, age=None):
-        """Delivers a scan; `age` of its samples if they are not as told."""
+        """Delivers a scan; `age` overrides the age of its samples."""
         age = self.ages[ring] if age is None else age
         self.sequence[ring] += 1
         status, distance = self.readings[ring]

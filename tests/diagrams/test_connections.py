@@ -1,4 +1,4 @@
-"""Station and monitor: their ports, and who can know what."""
+"""Station and monitor: their ports, and which signals reach which system."""
 
 import unittest
 
@@ -46,7 +46,7 @@ def find_connections(diagram):
 
 
 def find_reached(connections, start):
-    """Returns the names of all systems that a signal of `start` gets to."""
+    """Returns the names of all systems reached by a signal of `start`."""
     reached, waiting = set(), [start]
     while waiting:
         system = waiting.pop()
@@ -105,7 +105,7 @@ class TestPorts(unittest.TestCase):
                     )
 
     def test_neither_has_feedthrough(self):
-        # So that they can be joined in a loop, and run apart over a network.
+        # So that they can be connected in a loop, or over a network.
         self.assertFalse(self.monitor.HasAnyDirectFeedthrough())
         self.assertFalse(self.station.HasAnyDirectFeedthrough())
 
@@ -144,12 +144,12 @@ class TestConnections(unittest.TestCase):
             with self.subTest(observer=observer):
                 reached = find_reached(self.connections, observer)
                 self.assertFalse(reached & {"station", "monitor"})
-        # The search finds a way where there is one.
+        # The search finds a path if there is one.
         self.assertIn("monitor", find_reached(self.connections, "station"))
         self.assertIn("station", find_reached(self.connections, "station"))
 
     def test_truth_is_not_in_what_the_station_reports(self):
-        """In the station the person reaches the rings and no report."""
+        """In the station the person reaches the rings but no report."""
         station = self.workcell.station.diagram
         connections = find_connections(station)
         reached = find_reached(connections, "human")

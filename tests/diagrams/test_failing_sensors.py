@@ -48,7 +48,7 @@ class Watch(Rig):
         self.ring, self.sensor = ring, sensor
 
     def tell(self, status, distance, age=0.015):
-        """Says what the sensor delivers from now on."""
+        """Sets what the sensor delivers from now on."""
         every = np.full(8, SIGNAL_FAIL), np.full(8, 4.0), np.full(8, 0.015)
         for values, value in zip(every, (status, distance, age), strict=True):
             values[self.sensor] = value
@@ -56,7 +56,7 @@ class Watch(Rig):
         self.ages[self.ring] = every[2]
 
     def stop(self, distance=0.4):
-        """Lets somebody come near until the robot is told to stop."""
+        """Lets somebody come near until the robot is to stop."""
         for d in np.arange(1.3, distance, -0.03):
             self.tell(VALID, d)
             self.run(PERIOD)
@@ -85,21 +85,21 @@ failed_statuses = st.integers(0, 255).filter(
 )
 any_distance = st.floats(0.0, 65.535)
 failures = st.one_of(
-    # Any status that is no valid range, with whatever number beside it.
+    # Any status without a valid range, with any number.
     st.tuples(failed_statuses, any_distance, st.just(0.015)),
-    # A distance that its mode cannot measure, or no number at all.
+    # A distance that its mode cannot measure, or NaN.
     st.tuples(
         st.just(0),
         st.one_of(st.floats(1.46, 65.535), st.just(np.nan)),
         st.just(0.015),
     ),
-    # Old data again and again, or an age that nobody knows.
+    # Old data again and again, or of unknown age.
     st.tuples(
         st.integers(0, 255),
         any_distance,
         st.one_of(st.floats(0.08, 100.0), st.just(np.inf), st.just(np.nan)),
     ),
-    # One lost sample, which looks as if nothing was there.
+    # One lost sample, which looks like nothing there.
     st.tuples(st.sampled_from(NO_RETURN), any_distance, st.just(0.015)),
 )
 
@@ -118,7 +118,7 @@ def test_no_failure_releases_a_stop(monitor, position, samples, repeats):
         for _ in range(1 if is_no_return else repeats):
             confirmed = confirmed + 1 if is_no_return else 0
             if confirmed >= 2:
-                # That is a measurement: nobody is there any more.
+                # That is a measurement: nobody is there now.
                 break
             assert watch.run_scan() == STOP, sample
 
@@ -167,7 +167,7 @@ def test_a_sensor_that_saw_nothing_stops_the_robot_after_0_3_s(
     rows = watch.run(0.5)
     stopped = np.flatnonzero(rows[:, 1] == STOP)
     elapsed = (stopped[0] + 1) * TICK
-    # What is there but cannot be measured counts from its second sample on.
+    # A target that cannot be measured counts from its second sample on.
     assert elapsed <= (2 * PERIOD if cause == "sigma" else 0.3 + PERIOD)
     assert (rows[stopped[0] :, 1] == STOP).all()
     assert watch.eval("reason") == f"stop: tool is faulted, sensor 0: {cause}"
@@ -211,7 +211,7 @@ def test_a_sensor_declared_dead_slows_the_robot(position):
         watch.eval("reason")
         == "reduced: tool is degraded, sensor 0: declared dead"
     )
-    # Its neighbour stops the robot as ever.
+    # Its neighbour still stops the robot.
     watch.sensor = 1
     watch.tell(VALID, 0.3)
     assert watch.run(PERIOD)[-1, 1] == STOP

@@ -1,7 +1,7 @@
-"""Each fault, on a robot at full speed: how long until it stands, and back.
+"""Each fault, on a robot at full speed: time to standstill, and recovery.
 
-The times are those of the robot's cycles, the same on every computer: what a
-real one adds is measured by `make fault-table`.
+The times are counted in the robot's cycles, the same on every computer; `make
+fault-table` measures what a real computer adds.
 """
 
 import math
@@ -33,7 +33,7 @@ class TestFaults(unittest.TestCase):
         return times
 
     def check_return(self):
-        """Speed comes back through half a second at the reduced fraction."""
+        """Speed recovers through half a second at the reduced fraction."""
         self.check_return_of(self.cell)
 
     def check_return_of(self, cell):
@@ -63,7 +63,7 @@ class TestFaults(unittest.TestCase):
         self.assertIn("no sample yet", cell.result.health)
 
     # Longest times to 0, s. 0.4 s are the law's ramp from full speed, 0.1 s
-    # its deadline for a sample, of which some time is over when the fault
+    # its deadline for a sample, part of which has passed when the fault
     # begins; a frozen sensor takes 25 repetitions of 0.024 s.
     RINGS = (
         ("silent", "elbow", 0.52, "elbow sample is .* s old"),
@@ -123,7 +123,7 @@ class TestFaults(unittest.TestCase):
                     cell.measure(11.0)
 
     def test_slider_that_does_not_obey(self):
-        """Together with a ring: else there is nothing to obey."""
+        """Together with a ring: otherwise there is nothing to obey."""
         cell = self.cell
         cell.robot.slider_frozen = True
         cell.inject("bus", "elbow")
@@ -139,7 +139,7 @@ class TestFaults(unittest.TestCase):
         self.check_return()
 
     def test_arm_that_does_not_slow(self):
-        """The echo obeys: only the joints' speed tells."""
+        """The echo obeys: only the joints' speed shows it."""
         for fault, joint, limit in (
             # While the law slows down: 0.3 s ramp, 0.1 s to be sure.
             ({"ignores_slider": True}, "1 at 2", 0.50),
@@ -215,7 +215,7 @@ class TestFaults(unittest.TestCase):
             with self.subTest(seconds=seconds):
                 self.cell.wait_for_full_speed()
                 self.cell.robot.shift_clock(seconds)
-                # Nothing else is wrong: it comes back at once.
+                # Nothing else is wrong: it recovers at once.
                 self.check(
                     zero=2 * CYCLE,
                     still=0.2 + 2 * CYCLE,

@@ -1,4 +1,4 @@
-"""The monitor on a robot that is handed its data by a test."""
+"""The monitor on a robot played by a test."""
 
 import dataclasses as dc
 import itertools
@@ -37,7 +37,7 @@ _TICK = 0.008
 
 
 class Bench:
-    """A robot that stands and follows its slider at once."""
+    """A robot at rest whose slider follows at once."""
 
     def __init__(self, loop, scenario):
         self.loop = loop
@@ -93,7 +93,7 @@ class Bench:
 
 
 class TestRobot(unittest.TestCase):
-    """Whatever the robot does: nothing but 0 is sent until it is fine."""
+    """Whatever the robot does, only 0 is sent until it is ready."""
 
     @classmethod
     def setUpClass(cls):
@@ -119,7 +119,7 @@ class TestRobot(unittest.TestCase):
         self.assertEqual(results[-1].slider.phase, SliderPhase.FOLLOWING)
         for result, command in zip(results, self.sent, strict=True):
             self.assertIs(result.slider.command, command)
-            # Never faster than the law says in the same tick.
+            # Never faster than the law allows in the same tick.
             self.assertLessEqual(command.speed_fraction, result.speed_fraction)
         self.assertEqual(self.sent[-1].speed_fraction, 1.0)
 
@@ -139,7 +139,7 @@ class TestRobot(unittest.TestCase):
                 self.assertEqual(self.sent[-1].speed_fraction, 0.0)
                 bench.run_until(bench.count * _TICK + 0.2)
                 bench.changes = {}
-                # Back, but slowly: at most 2 per second.
+                # It recovers slowly: at most 2 per second.
                 first = bench.run_until(bench.count * _TICK + 0.1)[-1]
                 self.assertLessEqual(first.slider.command.speed_fraction, 0.25)
                 bench.run_until(bench.count * _TICK + 1.4)
@@ -153,7 +153,7 @@ class TestRobot(unittest.TestCase):
         results = bench.run_until(bench.count * _TICK + 0.2)
         self.assertEqual(results[-1].slider.phase, SliderPhase.FAULT)
         self.assertEqual(self.sent[-1].speed_fraction, 0.0)
-        # The heartbeat stands still, so that the robot's watchdog bites.
+        # The heartbeat stops, so that the robot's watchdog acts.
         self.assertEqual(self.sent[-1].heartbeat, self.sent[-2].heartbeat)
 
 

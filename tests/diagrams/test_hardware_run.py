@@ -15,12 +15,12 @@ from tofssm_drake.robot.twin import make_cell_plant
 
 
 class Scheduler:
-    """Stands in for the system's; refuses if it is told to.
+    """Stands in for the system's scheduling functions.
 
     Args:
         refuses: Whether nothing is permitted.
-        ended: Whether the thread that is looked at first has ended.
-        policy: Of all threads, to begin with.
+        ended: Whether the first thread to be changed has ended.
+        policy: Of all threads, initially.
     """
 
     def __init__(self, *, refuses=False, ended=False, policy=os.SCHED_OTHER):
@@ -39,8 +39,7 @@ class Scheduler:
         return self.policies[number]
 
     def set(self, number, policy, parameters):
-        # As for a user with a line in limits.conf, who may not take the flag
-        # back.
+        # As for a user with a line in limits.conf, who may not clear the flag.
         flag = os.SCHED_RESET_ON_FORK
         if self.refuses or self.policies[number] & ~policy & flag:
             raise PermissionError(1, "not permitted")
@@ -75,7 +74,7 @@ class TestRealTime(unittest.TestCase):
 
     def test_all_threads_and_back(self):
         scheduler = Scheduler()
-        # What is started within has no such priority.
+        # Threads started within have no such priority.
         policy = os.SCHED_FIFO | os.SCHED_RESET_ON_FORK
         self.assertEqual(scheduler.run(), (True, {policy}))
         self.assertEqual(scheduler.get_end(), {os.SCHED_OTHER})
@@ -149,7 +148,7 @@ class TestPlausible(unittest.TestCase):
     def test_what_was_before(self):
         q = np.full(6, 3.0)
         self.check("joint 1 went", position=q)
-        # Nothing is known of where it was.
+        # Its last position is unknown.
         self.check("", position=q, before=RobotReport())
         self.check("", position=q, before=make_report(session=1))
         # There was time enough.
@@ -172,5 +171,5 @@ class TestHoldRobot(unittest.TestCase):
                 self.assertEqual(
                     [(c.mask, c.speed_fraction) for c in robot.sent], sent
                 )
-                # Nobody shall take it for a monitor.
+                # It must not pass for a monitor.
                 self.assertEqual({c.heartbeat for c in robot.sent} - {0}, set())

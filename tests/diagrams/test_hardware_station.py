@@ -29,7 +29,7 @@ class TestHardwareStation(unittest.TestCase):
         self.assertEqual(inputs[:-1], simulated[0])
         self.assertEqual(inputs[-1][0], "separation")
         self.assertEqual(outputs, simulated[1])
-        # Of a real person nothing is known.
+        # A real person is unknown.
         nobody = load_scenario(text="{human: !NoHuman {}}")
         simulated = describe_ports(make_station(nobody).diagram)
         real = make_hardware_station(

@@ -27,9 +27,9 @@ def test_the_world_has_the_real_surfaces_if_asked_for():
 
 
 def test_the_mask_knows_them_too():
-    """With nobody there, no reading of the robot's surface is taken as other.
+    """With nobody there, every reading of the robot's surface is masked.
 
-    A twin of capsules would not do: they stand out by centimetres.
+    A twin of capsules would fail: they stand out by centimetres.
     """
     scenario = load_scenario(
         name="NoHuman",

@@ -1,4 +1,4 @@
-"""Ideal sensing and lidar in the place of the rings."""
+"""Ideal sensing and lidar in place of the rings."""
 
 import functools
 
@@ -159,7 +159,7 @@ class TestRuns:
         assert samples.rings == links
         assert samples.scan == {}
         assert samples.metadata["sensing"] == sensing
-        # It moves, and it sees and minds the person.
+        # It moves, and it sees the person and reacts.
         assert samples["speed_fraction"].max() > 0.4
         assert (samples["robot_state"][100:] != RobotState.NORMAL).any()
         row = calc_run_metrics(samples)
@@ -175,14 +175,14 @@ class TestRuns:
         np.testing.assert_allclose(
             measured[1:], np.maximum(true[:-1], 0.0), atol=1e-9
         )
-        # Hence what the closing speed tells of the next tick.
+        # Hence the closing speed predicts the next tick.
         closing = samples.ring("closing_speed")
         fell = -np.diff(true, axis=0)[1:] / 0.008
         error = np.abs(np.clip(fell, -3.3, 3.3) - closing[2:])
         assert np.median(error) < 0.05
 
     def test_lidar_sees_a_leg_and_no_more(self):
-        """Not nearer than the nearest point of the person, but for noise."""
+        """Not nearer than the nearest point of the person, except for noise."""
         samples = run("lidar")
         measured = samples["lidar_measured_distance"]
         true = samples["lidar_true_distance"]
@@ -192,7 +192,7 @@ class TestRuns:
         # A scan is up to 0.06 s old, and the person walks at 1.2 m/s.
         assert error.min() > -0.2
         assert 0.0 < np.median(error) < 0.3
-        # More rays than eight bits count.
+        # More rays than fit into eight bits.
         counts = sum(
             samples[f"lidar_{name}"].astype(int)
             for name in ("clear", "valid", "masked", "faulted")

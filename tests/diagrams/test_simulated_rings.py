@@ -65,7 +65,7 @@ class TestSimulatedRings(unittest.TestCase):
         cls.scenario = load_scenario()
 
     def run_rings(self, *, seconds, link, **options):
-        """Returns (time, frame, whether to damage it) of all that was sent."""
+        """Returns (time, frame, whether to damage it) of all sent frames."""
         sent = []
 
         def send(frame, is_damaged):

@@ -63,7 +63,7 @@ def test_another_seed_another_measurement():
         for name in one.column
         if name.endswith("measured_distance")
     )
-    # The person does not depend on it.
+    # The person does not depend on the seed.
     np.testing.assert_array_equal(one["person_x"], other["person_x"])
 
 

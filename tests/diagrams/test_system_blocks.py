@@ -110,7 +110,7 @@ class TestSystemBlocks(unittest.TestCase):
             self.assertEqual(block.get(key, []), names, block["name"])
 
     def make_systems_beside_the_loop(self):
-        """Public systems that the workcell itself does without."""
+        """Public systems that the workcell does not use."""
         station = self.workcell.station
         model = TruthModel(
             plant=station.plant,

@@ -23,13 +23,13 @@ from tofssm_drake.messages import RobotReport
 
 NOBODY = "{human: !NoHuman {}}"
 _MAIN = ("-m", "tofssm_drake.scripts.main")
-# What starts a runner that does not mind a busy computer.
+# Starts a runner that tolerates a busy computer.
 PATIENT = (Path(__file__).parent / "patient_runner.py",)
-# The slowest machine on which a process still starts in time, s.
+# Longest time for a process to start, s.
 _PATIENCE = 120.0
-# Above that of a runner.
+# Longer than that of a runner.
 _ROBOT_PRIORITY = 20
-# A robot that does not rest within that time never does, s.
+# A robot that does not rest within this time never does, s.
 _REST = 15.0
 
 
@@ -42,9 +42,9 @@ class Seen:
     still: float
     """It stood still, and stayed so."""
     slider: float
-    """Where its slider was at last."""
+    """Where its slider was at the end."""
     reports: list[RobotReport]
-    """What it told, from then on."""
+    """What it reported from then on."""
 
 
 class Watcher:
@@ -75,7 +75,7 @@ class Watcher:
         deadline = time.monotonic() + timeout
         report = self.report
         while not (report.sequence >= 0 and condition(report)):
-            assert time.monotonic() < deadline, f"waited in vain: {report}"
+            assert time.monotonic() < deadline, f"gave up waiting: {report}"
             report = self._client.wait_for_report(
                 after=report.sequence, timeout=0.5
             )
@@ -113,7 +113,7 @@ class Watcher:
 
 
 def _find_rest(reports, settled):
-    """Returns how many reports it takes until the robot rested; 0: never."""
+    """Returns the number of reports until the robot rested; 0: never."""
     rest = math.inf
     for i, report in enumerate(reports):
         rest = math.inf if report.velocity.any() else min(rest, report.time)
@@ -123,7 +123,7 @@ def _find_rest(reports, settled):
 
 
 def _find_last(reports, start, is_up):
-    """Returns when something was down for good, s after the start."""
+    """Returns from when on something stayed down, s after the start."""
     last = -1
     for i, report in enumerate(reports):
         if is_up(report):
@@ -134,7 +134,7 @@ def _find_last(reports, start, is_up):
 
 
 class Program:
-    """A process whose output goes to files, so that it never waits."""
+    """A process whose output goes to files, so that it never blocks."""
 
     def __init__(self, *arguments, main=_MAIN, limit_file_size=0):
         self._folder = tempfile.TemporaryDirectory()
@@ -142,7 +142,7 @@ class Program:
         self._err = Path(self._folder.name) / "err"
         command = [sys.executable, *main, *map(str, arguments)]
         if limit_file_size:
-            # In blocks of 1 kB; only bash counts so.
+            # In blocks of 1 kB, which is how bash counts.
             command = [
                 *("bash", "-c", f'ulimit -f {limit_file_size}; exec "$@"'),
                 *("bash", *command),
@@ -157,11 +157,11 @@ class Program:
 
     @property
     def err(self) -> str:
-        """What it told on stderr so far."""
+        """What it printed on stderr so far."""
         return self._err.read_text()
 
     def wait_for(self, pattern: str, timeout=_PATIENCE) -> re.Match:
-        """Waits until it has printed or told something."""
+        """Waits until it has printed something on stdout or stderr."""
         deadline = time.monotonic() + timeout
         while not (match := re.search(pattern, self.out + self.err)):
             assert self.process.poll() is None, self.out + self.err
@@ -174,7 +174,7 @@ class Program:
     def end(self) -> None:
         """Ends it by its id, if it has not ended."""
         if self.process.poll() is None:
-            # If it was stopped it could not end.
+            # A stopped process could not end.
             self.process.send_signal(signal.SIGCONT)
             self.process.send_signal(signal.SIGTERM)
             try:
@@ -199,7 +199,7 @@ class CellProcess:
             *("simulated-ur", "--host", self.host, "--dashboard-port", 0),
             *("--start", "heartbeat", "--watchdog", 0.2, "--loop"),
         )
-        # A real controller is a computer of its own: nothing may delay it.
+        # A real controller is a separate computer: nothing may delay it.
         with contextlib.suppress(PermissionError):
             os.sched_setscheduler(
                 self.robot.process.pid,
@@ -252,7 +252,7 @@ class CellProcess:
         )
 
     def do(self, line: str) -> None:
-        """Tells the robot's dashboard to do something."""
+        """Sends a command to the robot's dashboard."""
         with socket.create_connection(self._dashboard, 10.0) as console:
             lines = console.makefile("rw", newline="\n")
             lines.readline()
@@ -262,12 +262,12 @@ class CellProcess:
             assert "could not" not in answer, answer
 
     def wait_for_full_speed(self, runner: Program) -> None:
-        """Waits until the program runs fast; as often as it stops, plays it.
+        """Waits until the program runs fast; restarts it whenever it stops.
 
         A machine that is too busy for 0.2 s trips the watchdog.
 
         Args:
-            runner: Who watches; it must be there first.
+            runner: Must be monitoring the robot first.
         """
         runner.wait_for("normal, slider")
         played = -math.inf

@@ -1,9 +1,9 @@
-"""Arms as Universal Robots publishes them, by their DH tables."""
+"""Arms by the DH tables that Universal Robots publishes."""
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-# theta, a, d, alpha as Universal Robots publishes them, m.
+# theta, a, d, alpha as published by Universal Robots, m.
 UR10 = (
     (0, -0.612, -0.5723, 0, 0, 0),
     (0.1273, 0, 0, 0.163941, 0.1157, 0.0922),

@@ -1,4 +1,4 @@
-"""`tofssm` with a system that raises once a file is there.
+"""`tofssm` with a system that raises once a file exists.
 
 failing_runner.py FILE hardware ...
 """

@@ -10,7 +10,8 @@ import pytest
 def list_cases(rows: Sequence[Row]) -> list:
     """Returns each row at each moment, for `pytest.mark.parametrize`.
 
-    What nothing finds yet must fail: the case says so once it is found.
+    Faults that nothing finds yet are expected to fail: the case reports when
+    one is found.
     """
     return [
         pytest.param(
@@ -27,6 +28,6 @@ def list_cases(rows: Sequence[Row]) -> list:
 
 
 def check_row(cell: Cell, row: Row, moment: Moment) -> None:
-    """Fails with one line unless the robot does as the row wants."""
+    """Fails with one line unless the robot does what the row demands."""
     failure = find_failure(row, moment, measure_row(cell, row, moment))
     assert not failure, failure

@@ -1,6 +1,6 @@
 """The fault table: what goes wrong, and how soon it must stop the robot.
 
-One `Row` is one fault, and one `Moment` says who is there when it begins.
+A `Row` is a fault, and a `Moment` says who is there when it begins.
 `measure_row` lets it happen in a copy of the process, so that each begins
 with the robot at full speed at the same place of its path, in lock-step.
 """
@@ -31,21 +31,22 @@ from tofssm_drake.sensing.vl53l1x import STATUS_VALID
 # Who sees the person: a sensor that sees nothing of robot and cell meanwhile.
 RING, SENSOR = "tool", 0
 OTHER = 5
-# Whose beam hits the robot's own arm nearly all of the time, in each ring.
+# In each ring, the sensor whose beam hits the robot's own arm nearly all the
+# time.
 SEES_ROBOT = 2
-# Where somebody is when a fault befalls a stop, m from the sensor, and how
+# Where somebody is if a fault begins during a stop, m from the sensor, and how
 # long after a fault somebody comes in sight, s.
 NEAR = 0.6
 DELAY = 0.1
-# A robot that has stood still for so long, s, is taken to stay there; beside
-# a person it is watched for longer, s.
+# A robot that has stood still for this long, s, is assumed to stay there;
+# beside a person it is watched for longer, s.
 LINGER = 0.1
 WATCHED = 1.0
 # The arm stands still by then, ms after the fault, if the fault alone does
 # not stop it: somebody has come within d_C, and the law's ramp is over.
 HELD_LIMIT = 120.0
 COMES_LIMIT = 750.0
-# What stops the robot later than that by itself, ms, leaves it to the law.
+# A fault that alone stops the robot later than this, ms, leaves it to the law.
 SLOW = 2000.0
 
 
@@ -65,30 +66,30 @@ class Row:
     act: Callable[[Cell], None]
     """Injects it."""
     says: str = ""
-    """What the runner says while nobody is there; a pattern."""
+    """What the runner reports while nobody is there; a pattern."""
     zero: float = math.inf
-    """The slider must be at 0 by then while nobody is there, ms after the
-    fault; inf: it need not."""
+    """With nobody there, the slider must be at 0 by then, ms after the fault;
+    inf: it need not."""
     still: float = math.inf
     """The arm must stand still by then, ms; inf: it may go on while nobody is
     there. With a person it may be as late, if that is later than HELD_LIMIT
     or COMES_LIMIT."""
     why: str = ""
-    """Why it may go on, or is so slow, while nobody is there."""
+    """Why, with nobody there, it may go on or takes that long."""
     duration: float = 0.5
-    """What may go on is watched for so long while nobody is there, s."""
+    """With nobody there, an arm that may go on is watched for this long, s."""
     person: float = 0.0
     """With a person the arm must stand still by then, ms after the fault, if
     that is later than the other limits."""
     rise: float = 0.0
-    """By how much the slider may rise where somebody holds the robot."""
+    """By how much the slider may rise while somebody holds the robot."""
     open: tuple[Moment, ...] = ()
-    """Where it does not stop the robot although it should: `finder` is to do
-    that. Take out what is found, and give the limits."""
+    """Moments at which it does not stop the robot although it should: `finder`
+    is to do that. Once it is found, remove it and give the limits."""
     finder: str = ""
 
 
-# What a row does.
+# What a row injects.
 
 
 def _inject(kind: str, ring: str, *sensors: int) -> Callable[[Cell], None]:
@@ -114,7 +115,7 @@ def _report(**values) -> Callable[[Cell], None]:
 
 
 def _report_joint(joint: int, **values: float) -> Callable[[Cell], None]:
-    """Lets it report something else of one joint."""
+    """Lets it report something else for one joint."""
 
     def act(cell):
         def change(outputs):
@@ -140,7 +141,7 @@ def _report_other_arm(cell: Cell) -> None:
 
 
 def _with_ring(act: Callable[[Cell], None]) -> Callable[[Cell], None]:
-    """Does something that shows only when the robot shall stop."""
+    """Injects a fault that shows only when the robot is to stop."""
 
     def both(cell):
         act(cell)
@@ -163,7 +164,7 @@ def _swap(one: str, other: str) -> Callable[[Cell], None]:
 
 
 def _spoil_near(status: int, mm: int) -> Callable[[Cell], None]:
-    """All that is nearer than a limit gets another status."""
+    """Everything nearer than a limit gets another status."""
 
     def change(frame):
         is_near = (frame.status == STATUS_VALID) & (frame.mm < mm)
@@ -176,7 +177,7 @@ def _spoil_near(status: int, mm: int) -> Callable[[Cell], None]:
 
 
 def _brown_out(ring: str, silence: float) -> Callable[[Cell], None]:
-    """A device goes down and starts anew, with clock and sequence at 0."""
+    """A device goes down and restarts, with clock and sequence at 0."""
 
     def act(cell):
         end, first = cell.time + silence, []
@@ -201,7 +202,7 @@ def _brown_out(ring: str, silence: float) -> Callable[[Cell], None]:
 
 
 def _mount(ring: str, X_LL: RigidTransform) -> Callable[[Cell], None]:
-    """A ring sits elsewhere on its link than the model has it.
+    """A ring is elsewhere on its link than in the model.
 
     Args:
         ring: Its name.
@@ -236,9 +237,9 @@ _FAULT_TIME = 745
 _EMPTY = {
     "says": _FOUND,
     "still": _SELF_HIT,
-    "why": "looks like an empty room; found by the robot that it must see",
+    "why": "looks like an empty room; found because it does not see the robot",
 }
-# What it sees of the robot may stop it sooner.
+# What it sees of the robot may stop it earlier.
 _MISPLACED = {
     "says": f"{_FOUND}|tool at",
     "still": _SELF_HIT,
@@ -257,7 +258,7 @@ _WRONG_ONE = _UNPROVEN | {
 _BLIND_TO_THE_ROBOT = {
     "says": _FOUND,
     "still": _SELF_HIT,
-    "why": "found by the robot that it must see",
+    "why": "found because it does not see the robot",
 }
 _NOTHING_THERE = "a sensor that repeats that nothing is there proves nothing"
 _GLITCH = {
@@ -367,7 +368,7 @@ RING_ROWS: tuple[Row, ...] = (
         "loss10",
         "tool is faulted, 11 % of frames lost",
         7500,
-        why="up to a tenth is borne: the reaction is a period longer",
+        why="up to a tenth is tolerated: the reaction is a period longer",
     ),
     _ring(
         "clockfast",
@@ -627,10 +628,10 @@ ROBOT_ROWS: tuple[Row, ...] = (
     ),
     *(
         Row(
-            name=f"a joint's {what} is reported as no number",
+            name=f"a joint's {what} is reported as NaN",
             act=_report_joint(3, **{name: math.nan}),
             still=_WATCHDOG,
-            why="such a report is none; its own watchdog stops the robot",
+            why="such a report is rejected; its own watchdog stops the robot",
         )
         for what, name in (("angle", "actual_q"), ("speed", "actual_qd"))
     ),
@@ -647,15 +648,15 @@ ROBOT_ROWS: tuple[Row, ...] = (
         **_ENDS,
     ),
     Row(
-        name="tool's pose is reported as no number",
+        name="tool's pose is reported as NaN",
         act=_report(actual_TCP_pose=(math.nan,) * 6),
         still=_WATCHDOG,
-        why="such a report is none; its own watchdog stops the robot",
+        why="such a report is rejected; its own watchdog stops the robot",
     ),
     Row(
         name="tool is set up 100 mm longer than modelled",
         act=lambda cell: cell.robot.tcp_offset.__setitem__(2, 0.1),
-        why="a setting of the robot, which moves no ring; it is told at the "
+        why="a setting of the robot, which moves no ring; reported at the "
         "start",
     ),
 )
@@ -680,13 +681,13 @@ def make_cell(moment: Moment) -> Cell:
 
 
 def measure_row(cell: Cell, row: Row, moment: Moment, shift: int = 0) -> Times:
-    """Lets a fault happen; returns what came of it. The cell stays as it was.
+    """Injects a fault and returns its effect; the cell itself is unchanged.
 
     Args:
         cell: From `make_cell`.
         row: The fault.
         moment: Of the cell.
-        shift: Cycles to wait before; the moment between two samples counts.
+        shift: Cycles to wait before it: the moment between two samples matters.
     """
 
     def measure():
@@ -711,7 +712,7 @@ def measure_row(cell: Cell, row: Row, moment: Moment, shift: int = 0) -> Times:
 def call_in_copy(function: Callable):
     """Returns what a function returns in a copy of this process.
 
-    Whatever it changes is changed there only.
+    Its side effects stay there.
 
     Raises:
         RuntimeError: It raised, or the copy died.
@@ -739,20 +740,20 @@ def _answer(function, sender):
 
 
 def calc_person_limit(row: Row, moment: Moment) -> float:
-    """Returns by when the arm must stand still where somebody is, ms."""
+    """Returns by when the arm must stand still if somebody is there, ms."""
     limit = HELD_LIMIT if moment == Moment.HELD else COMES_LIMIT
-    # What takes longer than a person needs to come must not be waited for.
+    # A fault that takes longer than a person to come must not be waited for.
     still = row.still if row.still < SLOW else 0.0
     return max(limit, still, row.person)
 
 
 def find_failure(row: Row, moment: Moment, times: Times) -> str:
-    """Returns what is not as a row wants it, in one line; "": nothing.
+    """Returns what violates a row's limits, in one line; "": nothing.
 
     Args:
         row: The fault.
         moment: Who was there.
-        times: What came of it.
+        times: Its effect.
     """
     if moment == Moment.ALONE:
         if not re.search(row.says, times.health):

@@ -1,11 +1,11 @@
 """Measures how long each fault takes to stop a robot: `make fault-table`.
 
 Prints tables in Markdown: of rings, sensors and robot for docs/faults.md, of
-processes for docs/hardware.md. The first three are of lock-step, where a
-cycle of the robot lasts as long as it should: the same on every computer. For
-the last one, robot and runner are processes of their own, the rings send over
-a real socket, and the times are those of another client of the robot: some
-minutes on a computer that has nothing else to do.
+processes for docs/hardware.md. The first three are measured in lock-step, where
+a cycle of the robot lasts exactly as long as it should: the same on every
+computer. For the last one, robot and runner are separate processes, the rings
+send over a real socket, and another client of the robot takes the times; it
+takes some minutes on an otherwise idle computer.
 """
 
 from collections.abc import Sequence
@@ -46,7 +46,7 @@ from tofssm_drake.hardware.ring_fault_injection import (
 from tofssm_drake.messages import RINGS
 
 _TIMES = 3
-# Those of a whole ring that stop the robot by themselves.
+# Faults of a whole ring that alone stop the robot.
 _KINDS = (
     *("silent", "corrupt", "duplicate", "frozen", "late", "implausible"),
     *("bus", "restart"),
@@ -67,7 +67,7 @@ _HERE = Path(__file__).parent
 
 
 class Rings:
-    """Simulated rings in a thread, whose faults begin when one likes.
+    """Simulated rings in a thread, with faults that begin on request.
 
     Args:
         cell: Robot and its watcher.
@@ -85,7 +85,7 @@ class Rings:
         self._thread.start()
 
     def inject(self, kind: str, ring: str, sensor: int | None = None) -> None:
-        """Begins a fault of a ring, or of one of its sensors alone."""
+        """Begins a fault of a ring, or of one of its sensors."""
         self._injectors[RINGS.index(ring)] = FaultInjector(
             [RingFault(kind=kind, ring=ring, start=0.0, sensor=sensor)]
         )
@@ -101,7 +101,7 @@ class Rings:
         self._sender.close()
 
     def _send(self, frame, is_damaged):
-        # Those whose fault delays them leave with a later frame.
+        # Frames that a fault delays leave with a later frame.
         injector, now = self._injectors[frame.ring], time.monotonic()
         injector.put(frame, now)
         sent = [
@@ -163,7 +163,7 @@ def _last_line(runner):
 
 
 def _shorten(text):
-    """Leaves out the consequence, where the cause is told before it."""
+    """Leaves out the consequence if the cause is reported before it."""
     return re.sub(r"; slider at most .*", "", text)
 
 
@@ -336,7 +336,7 @@ _PARTS = {
 
 
 def main():
-    """Measures and prints the parts that are named; none: all."""
+    """Measures and prints the named parts; by default all."""
     for part in sys.argv[1:] or _PARTS:
         _PARTS[part]()
 

@@ -1,4 +1,4 @@
-"""Beats a simulated robot's heartbeat until somebody kills it."""
+"""Beats a simulated robot's heartbeat until it is killed."""
 
 import sys
 

@@ -1,8 +1,8 @@
 """Robot, rings and monitor in one thread, cycle by cycle, without a clock.
 
-All is as on hardware, with the bytes of the robot's packages and of the
-rings' frames, but for sockets and time: a cycle of the robot lasts as long as
-the numbers say. So what is measured here is the same on every computer.
+Everything is as on hardware, with the bytes of the robot's packages and of the
+rings' frames, except for sockets and time: a cycle of the robot lasts exactly
+as long as configured. So measurements here are the same on every computer.
 """
 
 import collections
@@ -45,9 +45,9 @@ from tofssm_drake.robot.twin import make_cell_plant
 from tofssm_drake.sensing.vl53l1x import STATUS_VALID
 
 CYCLE = 0.008
-# Host's time at the begin, s.
+# Host's time at the beginning, s.
 _HOST = 900.0
-# A client connects anew after that silence, s.
+# A client reconnects after this silence, s.
 _STREAM_TIMEOUT = 0.1
 # What a sensor can see of a person.
 _FARTHEST_MM = 1300.0
@@ -57,7 +57,7 @@ _FARTHEST_MM = 1300.0
 class Visitor:
     """Somebody who comes straight up to one sensor, and stays there.
 
-    No other sensor sees them: what this one does decides.
+    No other sensor sees them: this one decides.
     """
 
     ring: str
@@ -67,7 +67,7 @@ class Visitor:
     start: float
     """When they come in sight, s on the cell's clock."""
     first: float = 1.2
-    """How far from the sensor they do, m."""
+    """How far from the sensor they come in sight, m."""
     last: float = 0.3
     """Where they stay, m from the sensor."""
     speed: float = 1.6
@@ -84,23 +84,23 @@ class Visitor:
 
 @dc.dataclass
 class Times:
-    """What came of a fault, s after it began; inf: never."""
+    """Effect of a fault, s after it began; inf: never."""
 
     zero: float = math.inf
     """The slider was at 0 in the robot, and stayed there."""
     still: float = math.inf
     """The robot stood still, and stayed so."""
     health: str = ""
-    """What the runner said when the robot stood still, or at last."""
+    """What the runner reported when the robot stood still, or at the end."""
     lowest: float = 1.0
-    """Where the slider was lowest."""
+    """The slider's lowest position."""
     rise: float = 0.0
     """By how much it rose again from there."""
     last: float = 1.0
-    """How fast the arm was at last, of full speed."""
+    """The arm's speed at the end, of full speed."""
 
     def see(self, elapsed: float, robot: SimulatedUr, health: str) -> None:
-        """Takes what the robot does by now."""
+        """Takes the robot's present state."""
         if robot.slider != 0.0:
             self.zero = math.inf
         elif self.zero == math.inf:
@@ -116,7 +116,7 @@ class Times:
 
 
 class _Loop(HardwareLoop):
-    """Without rehearsals: nothing follows from them but speed."""
+    """Without a warm-up, which only affects speed."""
 
     def rehearse(self):
         """Does nothing."""
@@ -125,7 +125,7 @@ class _Loop(HardwareLoop):
 class Cell:
     """A robot at work between three rings, and the monitor.
 
-    It is the runner's `RobotConnection`: to wait for a report lets a cycle
+    It is the runner's `RobotConnection`: waiting for a report lets a cycle
     pass.
 
     Args:
@@ -133,14 +133,14 @@ class Cell:
             one.
 
     Attributes:
-        time: s since the begin.
+        time: s since the beginning.
         robot: A `SimulatedUr` with its watchdog at 0.2 s.
-        is_silent: The robot's packages do not come any more.
+        is_silent: The robot's packages no longer come.
         delay: By how much they come late, s.
-        visitor: Whom one sensor sees; None: nobody is there.
-        change: Makes of a ring's frame what its wire carries, before faults
+        visitor: The person seen by one sensor; None: nobody is there.
+        change: Turns a ring's frame into what its wire carries, before faults
             are injected; None: it does not come.
-        change_outputs: Makes of the robot's outputs what it reports.
+        change_outputs: Turns the robot's outputs into what it reports.
     """
 
     def __init__(self, *, checks_model: bool = True):
@@ -201,7 +201,7 @@ class Cell:
         return RtdeStatus(connected=not self.is_silent, problem="")
 
     def close(self):
-        """Writes 0, as a client does, and lets the heartbeat stand."""
+        """Writes 0, as a client does, and stops the heartbeat."""
         self._commands = [
             SliderCommand(
                 mask=1, heartbeat=self.robot.inputs["input_int_register_24"]
@@ -216,11 +216,11 @@ class Cell:
         return self.result
 
     def mount(self, mount_ring):
-        """Lets the rings look from elsewhere from now on.
+        """Moves the rings from now on.
 
         Args:
-            mount_ring: Takes the place of `find_ring_mount` in the rings'
-                world; the monitor does not know.
+            mount_ring: Replaces `find_ring_mount` in the rings' world;
+                unknown to the monitor.
         """
         heard = []
 
@@ -229,24 +229,24 @@ class Cell:
 
         with mock.patch.object(ring_world, "find_ring_mount", mount_ring):
             self._rings = SimulatedRings(scenario=self.scenario, send=send)
-        # Up to now nobody hears of it.
+        # Until now nothing depends on it.
         now = self._wake_time - CYCLE
         self._rings.advance(now, self._newest, _HOST + now)
         heard.append(True)
 
     def inject(self, kind, ring, *sensors):
-        """Begins a fault of a ring, or of some of its sensors alone."""
+        """Begins a fault of a ring, or of some of its sensors."""
         self._injectors[RINGS.index(ring)] = FaultInjector(
             RingFault(kind=kind, ring=ring, start=0.0, sensor=sensor)
             for sensor in sensors or (None,)
         )
 
     def heal(self):
-        """Ends all faults of the rings: their devices begin anew."""
+        """Ends all faults of the rings: their devices restart."""
         self._injectors = [
             FaultInjector(
                 [
-                    # One frame that says so.
+                    # One frame that reports it.
                     RingFault(
                         kind="restart",
                         ring=ring,
@@ -264,11 +264,11 @@ class Cell:
         """Runs until a condition of the newest result holds."""
         end = self.time + timeout
         while not (self.step() and condition(self.result)):
-            assert self.time < end, f"waited in vain: {self.result.health}"
+            assert self.time < end, f"gave up waiting: {self.result.health}"
         return self.result
 
     def wait_for_full_speed(self):
-        """Runs until the robot is at full speed and everything is well."""
+        """Runs until the robot is at full speed without any problem."""
         self.wait_until(
             lambda r: (
                 r.robot_state == RobotState.NORMAL
@@ -280,11 +280,11 @@ class Cell:
         )
 
     def measure(self, duration, *, linger=math.inf, may_end=False):
-        """Runs for so long and returns `Times` from now on.
+        """Runs for some time and returns `Times` from now on.
 
         Args:
             duration: s.
-            linger: A robot that has stood still for so long, s, is enough.
+            linger: Ends earlier if the robot has stood still for this long, s.
             may_end: Go on with the robot alone when the run ends.
         """
         start, times = self.time, Times()
@@ -348,7 +348,7 @@ class Cell:
         try:
             self._report = self._decode(package, self._report)
         except RtdeError:
-            # A client hangs up, and connects anew.
+            # A client hangs up, and reconnects.
             self._begin_session()
             return
         self._session = self._report.session
@@ -385,7 +385,7 @@ class Cell:
         return True
 
     def _show_visitor(self, frame):
-        """Puts the visitor's distance into the frame of who sees them."""
+        """Puts the visitor's distance into the frame of their ring."""
         visitor = self.visitor
         if visitor is None or RINGS[frame.ring] != visitor.ring:
             return frame
@@ -400,7 +400,7 @@ class Cell:
         return dc.replace(frame, mm=values[0], status=values[1])
 
     def _deliver_frames(self):
-        """Hands over the frames that have come, each with its own arrival."""
+        """Hands over the arrived frames, each with its own time."""
         for injector in self._injectors:
             for delivery in injector.take(self.time):
                 data = encode_frame(delivery.frame)

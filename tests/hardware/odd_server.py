@@ -1,4 +1,4 @@
-"""A controller that answers as a test wants it, byte by byte."""
+"""A controller that answers as a test wants, byte by byte."""
 
 import contextlib
 import socket

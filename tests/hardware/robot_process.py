@@ -8,7 +8,7 @@ import sys
 
 
 def find_free_host(port=30004):
-    """Returns a loopback address at which nobody listens at that port."""
+    """Returns a loopback address at which nobody listens on that port."""
     number = os.getpid()
     for i in range(2, 250):
         host = f"127.{1 + number // 250 % 250}.{1 + number % 250}.{i}"

@@ -117,7 +117,7 @@ class TestStepArm(unittest.TestCase):
         self.assertTrue(dut.run(1.0, allowed=0.0, speed=math.nan)[0])
 
     def test_not_judged(self):
-        """Nor is what was before held against the arm afterwards."""
+        """Nor does earlier motion count against the arm afterwards."""
         dut = Watch()
         dut.run(1.0, allowed=0.0)
         self.assertEqual(
@@ -164,7 +164,7 @@ class Loop:
 
     Args:
         path_time: Where the program is, s.
-        start: Speed fraction that is wanted at first.
+        start: Speed fraction wanted at first.
     """
 
     def __init__(self, *, path_time=0.0, start=1.0):
@@ -178,7 +178,7 @@ class Loop:
         assert self.robot.slider == start, self.state
 
     def run(self, seconds, wanted, *, fall=math.inf, until=lambda: False):
-        """Runs for so long, or until something is so; tells whether it is."""
+        """Runs for some time or until a condition; returns whether it holds."""
         for _ in range(round(seconds / _PERIOD)):
             floor = self.state.command.speed_fraction - fall * _PERIOD
             self.step(max(wanted, floor))
@@ -276,7 +276,7 @@ class TestSimulatedRobot(unittest.TestCase):
         self.assertIn("arm does not slow", dut.state.reason)
 
     def test_reduced_speed_that_is_ignored(self):
-        """Found as soon as a joint is faster than 0.6 of what it can."""
+        """Found as soon as a joint is faster than 0.6 of its greatest speed."""
         dut = Loop(path_time=0.0)
         dut.robot.ignores_slider = True
         found = dut.run(
@@ -290,12 +290,12 @@ class TestSimulatedRobot(unittest.TestCase):
         dut.robot.ignores_slider = True
         self.assertTrue(dut.run(3, 0.0, until=lambda: dut.state.arm.problem))
         heartbeat = dut.state.command.heartbeat
-        # It dwells for its gripper now and then: no reason to go on.
+        # It pauses for its gripper now and then, which is not obedience.
         dut.run(4.0, 1.0)
         self.assertEqual(dut.state.phase, SliderPhase.FAULT)
         self.assertEqual(dut.state.command.heartbeat, heartbeat)
         self.assertEqual((dut.state.command.mask, dut.robot.slider), (1, 0.0))
-        # Somebody ends the program, as the watchdog would.
+        # Somebody stops the program, as the watchdog would.
         dut.robot.stop()
         dut.run(0.1, 1.0)
         self.assertTrue(dut.state.arm.problem)

@@ -1,4 +1,4 @@
-"""The fault table is whole, and its page shows all of it."""
+"""The fault table is complete, and its page shows all of it."""
 
 import pathlib
 import re

@@ -1,4 +1,4 @@
-"""What the systems of a tick are shown."""
+"""What the systems of a tick see."""
 
 import numpy as np
 
@@ -29,7 +29,7 @@ def test_scans_are_on_the_diagrams_clock():
 
 
 def test_a_scan_is_taken_once():
-    """The clock as it was known then counts."""
+    """The clock offset known at that time is used."""
     rings = HeldRings()
     scan = make_scan(0, 4.99)
     first = take(rings, scan)

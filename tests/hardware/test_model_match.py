@@ -1,4 +1,4 @@
-"""Is it the robot that is modelled?"""
+"""Is it the modelled robot?"""
 
 import dataclasses as dc
 import math
@@ -36,7 +36,7 @@ def start(report, **settings):
 
 
 def list_joints(count=20):
-    """Returns joints of any kind, and those of the program's begin."""
+    """Returns arbitrary joints, and those of the program's beginning."""
     path = make_robot()._path
     return [
         *np.random.default_rng(3).uniform(-3, 3, (count, 6)),
@@ -165,7 +165,7 @@ class TestStep(unittest.TestCase):
             self.assertEqual(elapsed, math.inf)
 
     def test_faults(self):
-        """Lasting for 0.2 s, looked at every 0.04 s."""
+        """It must last for 0.2 s, and is checked every 0.04 s."""
         for series in ("cb3", "e"):
             for has_offset in (True, False):
                 robot = make_robot(series=series)
@@ -178,14 +178,14 @@ class TestStep(unittest.TestCase):
                 self.assertRegex(problem, "is [0-9]+ mm and 5.7 deg from where")
 
     def test_joints_that_are_late(self):
-        """As soon as the arm is fast for long enough."""
+        """Found as soon as the arm is fast for long enough."""
         robot = make_robot()
         self.act = lambda: setattr(robot, "joints_late", 0.05)
         elapsed, _ = self.run_robot(robot, seconds=13.0)
         self.assertLess(elapsed, 2.0)
 
     def test_tool_that_changes(self):
-        """Known by its offset it is no fault; unknown it is another robot."""
+        """Fine if the offset is reported; otherwise it is another robot."""
         for has_offset in (True, False):
             robot = make_robot()
             self.act = lambda r=robot: r.tcp_offset.__setitem__(2, 0.3)
@@ -197,7 +197,7 @@ class TestStep(unittest.TestCase):
                 self.assertIn("is 100 mm and 0.0 deg from", problem)
 
     def test_ur5e_whose_offset_is_not_known(self):
-        """What passes for a tool at first does not stay the same."""
+        """A wrong arm's apparent tool does not stay the same."""
         path = make_robot()._path
         config, match = mut.ModelConfig(longest_tcp_offset=2), mut.ModelMatch()
         for i in range(500):

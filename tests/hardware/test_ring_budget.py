@@ -19,7 +19,7 @@ _AGE = 0.015
 
 
 class Ring:
-    """A ring whose frames come on time but for what a test does to it.
+    """A ring whose frames come on time unless a test changes that.
 
     Attributes:
         time: True time of the newest frame, s.
@@ -77,7 +77,7 @@ class Ring:
         return seen
 
     def measure(self, *, limit=10.0, step=None):
-        """Returns after how long there is a problem, s; inf: never."""
+        """Returns the time until there is a problem, s; inf: never."""
         start = self.time
         while self.time < start + limit:
             (step or self.step)()
@@ -86,14 +86,14 @@ class Ring:
         return math.inf
 
     def set_drift(self, drift):
-        """Lets the device's clock run faster from now on."""
+        """Makes the device's clock run faster from now on."""
         shown = self.clock.start + (1 + self.clock.drift) * self.time
         self.clock = DeviceClock(
             start=shown - (1 + drift) * self.time, drift=drift
         )
 
     def hide(self, sensor, keep):
-        """Returns a change: a sensor is new only in each `keep`-th frame."""
+        """Returns a change: a sensor is new only in every `keep`-th frame."""
 
         def change(frame):
             status = frame.status.copy()
@@ -112,7 +112,7 @@ def make_ring(**options):
 
 class TestMaxAge(unittest.TestCase):
     def test_worked_numbers(self):
-        """100 - 24 - 2 - 8 - 8 - 24 ms at 125 Hz; 33 ms never are in time."""
+        """100 - 24 - 2 - 8 - 8 - 24 ms at 125 Hz; 33 ms are never in time."""
         times = {"monitor_time": 0.002, "brake_start": 0.024}
         for T_R, period, tick, expected in (
             (0.1, 0.024, 0.008, 0.034),
@@ -159,11 +159,11 @@ class TestWithinTheBudget(unittest.TestCase):
             self.assertEqual(ring.problem, "")
 
     def test_one_percent_of_independent_losses(self):
-        """An alarm in five days of three rings; here are ten minutes of one."""
+        """One alarm in five days of three rings; here ten minutes of one."""
         budget = mut.RingBudget()
         frames = int(budget.window / _PERIOD)
         most = int(budget.max_lost * budget.window / _PERIOD)
-        # An alarm needs a loss that has `most` others within the window.
+        # An alarm needs a loss with `most` others within the window.
         p = 0.01
         others = math.comb(frames - 1, most) * p**most
         rate = p * others * (1 - p) ** (frames - 1 - most) * 3 / _PERIOD
@@ -331,7 +331,7 @@ class TestEnd(unittest.TestCase):
         start = ring.time
         while ring.problem:
             ring.step()
-        # Until few late ones are left in the window, and a window more.
+        # Until few late ones are left in the window, and one more window.
         self.assertGreater(ring.time - start, 2.0)
         self.assertLess(ring.time - start, 4.1)
         self.assertFalse(ring.run(10.0))
@@ -343,8 +343,8 @@ class TestEnd(unittest.TestCase):
         problem = ring.problem
         ring.period = _PERIOD
         ring.step(flags=FLAG_RESTARTED)
-        told = ring.time
-        while ring.time < told + 1.5:
+        start = ring.time
+        while ring.time < start + 1.5:
             ring.step()
             self.assertEqual(ring.problem, problem)
         ring.run(1.0)

@@ -25,7 +25,7 @@ class TestClockMap(unittest.TestCase):
     def simulate(self, *, drift, seconds, delay, seed=0):
         """Yields (true host time of sending, its estimate, map).
 
-        A device that is so much slower than the host; frames every 24 ms.
+        The device is slower than the host by `drift`; frames every 24 ms.
         """
         generator = random.Random(seed)
         sent = [1000.0 + 0.024 * i for i in range(int(seconds / 0.024))]
@@ -47,7 +47,7 @@ class TestClockMap(unittest.TestCase):
             errors = [estimate - t for t, estimate, _ in estimates if t > 1001]
             clock = estimates[-1][2]
             with self.subTest(drift=drift):
-                # The fastest frames' delay, never less; and not much more.
+                # Never less than the fastest frames' delay, and not much more.
                 self.assertGreaterEqual(min(errors), 0.0005 - 1e-9)
                 self.assertLess(max(errors), 0.0012)
                 self.assertAlmostEqual(clock.drift, drift, delta=15e-6)
@@ -67,7 +67,7 @@ class TestClockMap(unittest.TestCase):
                 self.assertGreater(clock.lateness, 0.045)
             if t > 1001.0:
                 self.assertGreater(estimate - t, -1e-9)
-                # By so much may it rise where nothing tells better.
+                # It may rise this much without better information.
                 self.assertLess(estimate - t, 5.0 * _MAX_DRIFT + 1e-4)
 
     def test_a_queue_is_not_taken_for_a_slow_clock(self):

@@ -1,4 +1,4 @@
-"""What the documents and the firmware say is what the code does."""
+"""Documents and firmware agree with the code."""
 
 import pathlib
 import re

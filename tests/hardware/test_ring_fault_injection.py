@@ -34,7 +34,7 @@ def make_device_frame(sequence):
 
 
 def run(kind, count=10, *, sensor=None):
-    """Returns for each frame as it was what came instead, or None."""
+    """Returns each original frame with what came instead, or None."""
     fault = mut.RingFault(kind=kind, ring="base", start=0.0, sensor=sensor)
     injector = mut.FaultInjector([fault])
     result = []

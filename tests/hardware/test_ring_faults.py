@@ -75,7 +75,7 @@ class TestFindFrozenSensors(unittest.TestCase):
 
     def test_a_device_that_repeats_itself_takes_the_clear_ones_along(self):
         self.assertEqual(find([5, 9, 9], [0, 2, 2]), [True, True, True])
-        # One sensor changes: the device lives.
+        # One sensor changes, so the device is alive.
         self.assertEqual(find([5, 9, 0], [0, 2, 2]), [True, False, False])
 
     def test_a_whole_ring_that_repeats_itself_is_found_sooner(self):
@@ -86,7 +86,7 @@ class TestFindFrozenSensors(unittest.TestCase):
         three = [0, 0, 0, 2, 2, 4, 7, 2]
         self.assertEqual(find([8] * 8, three, 25), [False] * 8)
         self.assertEqual(find([9] * 8, three, 25), [True] * 8)
-        # One that changes, whatever it is, and the device lives.
+        # If one changes, in whatever way, the device is alive.
         self.assertEqual(find([9] * 7 + [0], eight, 25), [False] * 8)
 
     def test_can_be_switched_off(self):
@@ -98,7 +98,7 @@ class TestFindFrozenSensors(unittest.TestCase):
         mm = np.rint(500 + 0.75 * generator.standard_normal((20_000, 24)))
         same = mm[1:] == mm[:-1]
         self.assertAlmostEqual(same.mean(), 0.35, delta=0.01)
-        # The longest row of equal neighbours.
+        # The longest run of equal neighbours.
         longest, row = 0, np.zeros(24, dtype=int)
         for i in range(len(same)):
             row = (row + 1) * same[i]

@@ -67,8 +67,8 @@ class TestSketch(unittest.TestCase):
         return times, frames
 
     def check_others(self, times, frames, *lost, start=1.0):
-        """All but some sensors measure, and frames come, all the time."""
-        # A frame waits while a sensor is being started, and no longer.
+        """All but some sensors measure all the time, and frames come."""
+        # A frame waits only while a sensor is being started.
         self.assertLess(np.diff(times).max(), 0.024)
         others = np.delete(np.arange(8), lost)
         status = np.array([frame.status for frame in frames])[:, others]

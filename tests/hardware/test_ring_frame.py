@@ -8,7 +8,7 @@ import numpy as np
 
 import tofssm_drake.hardware.ring_frame as mut
 
-# By hand from the table of the specification; docs/ring_link.md has the same.
+# Written by hand from the table of the specification; as in docs/ring_link.md.
 _PLAIN = bytes.fromhex(
     "54 52 02 01 08 00 07 00 40 e2 01 00 f4 01 00 03 18 d2 04 00 05 18 ff ff"
     "02 04 19 00 00 fe ff 30 28 00 03 00 18 2c 03 01 0c 00 00 00 fd ff ff 14"
@@ -228,7 +228,7 @@ def mutate(generator, data):
 
 
 def identify(frame):
-    """All of a frame that a sender put into it."""
+    """Returns all values that a sender put into a frame."""
     return (
         *(frame.ring, frame.flags, frame.sequence, frame.time_us),
         *(

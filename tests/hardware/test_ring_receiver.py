@@ -51,7 +51,7 @@ def make_receiver(**changes):
 
 
 def run(receiver, sequences, *, delay=0.002, clock=None, change=None, seed=0):
-    """Delivers frames; returns the scans that came of them, or None."""
+    """Delivers frames; returns the resulting scans, or None."""
     result = []
     for sequence in sequences:
         scan = make_scan(sequence, seed=seed)
@@ -145,14 +145,14 @@ class TestRingReceiver(unittest.TestCase):
         self.assertIs(receiver.scan, last)
 
     def test_two_devices_with_one_number_are_a_fault(self):
-        """Whoever is followed: nobody knows which of them it is."""
+        """Whichever is followed: it is unknown which of them it is."""
         for offset in (-1000, -5, 5, 1000):
             receiver = make_receiver()
             run(receiver, range(2000, 2100))
             self.assertFalse(receiver.is_contested)
-            told = []
+            scans = []
             for k in range(2100, 2200):
-                told += run(receiver, [k])
+                scans += run(receiver, [k])
                 scan = make_scan(k, seed=1)
                 frame = make_frame(
                     dc.replace(scan, sequence=k + offset),
@@ -160,10 +160,10 @@ class TestRingReceiver(unittest.TestCase):
                     timing_budget=_BUDGET,
                     clock=DeviceClock(start=_PERIOD * offset),
                 )
-                told.append(receiver.receive(frame, _HOST + scan.time + 0.004))
+                scans.append(receiver.receive(frame, _HOST + scan.time + 0.004))
             with self.subTest(offset=offset):
                 # Within a second; before, the clock may be unknown.
-                late = [scan for scan in told[-120:] if scan is not None]
+                late = [scan for scan in scans[-120:] if scan is not None]
                 self.assertGreater(len(late), 50)
                 for scan in late:
                     np.testing.assert_array_equal(scan.status, STATUS_CONTESTED)
@@ -179,7 +179,7 @@ class TestRingReceiver(unittest.TestCase):
             receiver = make_receiver()
             run(receiver, range(200, 240))
             sequence = receiver.scan.sequence
-            # Anew from 0, half a second later by the host's clock.
+            # From 0 again, half a second later by the host's clock.
             start = _HOST + 240 * _PERIOD + 0.5
             scans = []
             for i in range(60):
@@ -220,7 +220,7 @@ class TestRingReceiver(unittest.TestCase):
             )
 
     def test_a_silence_is_no_restart(self):
-        """Else a second of delay would be taken for an offset of the clock."""
+        """Otherwise a second of delay would pass for an offset of the clock."""
         for silence in (1.2, 600.0, 3600.0):
             frames = round(silence / _PERIOD)
             receiver = make_receiver()
@@ -292,7 +292,7 @@ class TestRingReceiver(unittest.TestCase):
             scan.time - scan.sensor_time[0], 0.11, delta=0.002
         )
         self.assertEqual(receiver.counts.late, 1)
-        # The mask takes samples of that age for faulted.
+        # For the mask, samples of that age are faulted.
         reading, *_ = classify_readings(
             scan.distance,
             scan.status,
@@ -330,7 +330,7 @@ class TestRingReceiver(unittest.TestCase):
         scans = run(receiver, range(40, 60), change=change)
         for i, scan in enumerate(scans):
             expected = np.zeros(8)
-            # The first one repeats nothing.
+            # The first one is not a repetition.
             expected[3] = STATUS_FROZEN if i >= 12 else 0
             np.testing.assert_array_equal(scan.status, expected)
         self.assertEqual(receiver.counts.frozen, 8)
@@ -338,7 +338,7 @@ class TestRingReceiver(unittest.TestCase):
         self.assertTrue((scan.status == 0).all())
 
     def test_a_device_that_repeats_its_samples_is_faulted(self):
-        """New sequence and time, but the samples of before; some clear."""
+        """New sequence and time, but old samples; some clear."""
         receiver = make_receiver()
         sent = make_frame(make_scan(0), ring=0, timing_budget=_BUDGET)
         status = np.array([0, 2, 2, 2, 2, 2, 4, 2], dtype=np.uint8)
@@ -353,7 +353,7 @@ class TestRingReceiver(unittest.TestCase):
         np.testing.assert_array_equal(scans[-1].status, status)
 
     def test_an_empty_room_is_not_frozen(self):
-        """Devices report one and the same number where nothing came back."""
+        """Devices report the same number whenever nothing came back."""
         receiver = make_receiver()
 
         def change(frame):

@@ -20,8 +20,8 @@ _BUDGET = 0.020
 _HOST = 70_000.0
 """Host's time when the Diagram's is 0, s."""
 
-# From when to when a ring suffers from a fault, s. The first frame that does
-# comes up to 24 ms later.
+# Start and end of a ring's fault, s. The first affected frame comes up to 24 ms
+# later.
 _FAULT, _END = 0.5, 1.0
 
 
@@ -121,7 +121,7 @@ class TestRingSubscriberSystem(unittest.TestCase):
         self.assertEqual(get_scans(diagram, context)[1].sequence, 2)
 
     def test_pending_events_take_what_came(self):
-        """A scan that is there before a tick counts in that tick."""
+        """A scan that arrives before a tick counts in that tick."""
         link = LoopbackRingLink(decoder=make_decoder())
         diagram = make_cell(link)
         simulator = Simulator(diagram)
@@ -159,7 +159,7 @@ class TestRingSubscriberSystem(unittest.TestCase):
                 self.assertFalse(scan.sensor_time.flags.writeable)
 
     def test_a_scan_from_after_the_diagrams_time_waits(self):
-        """The robot is not known yet to have been where the sensors were."""
+        """It is not known yet where the robot was at the samples' time."""
         link = LoopbackRingLink(decoder=make_decoder())
         diagram = make_cell(link, clock_offset=-_HOST)
         simulator = Simulator(diagram)
@@ -214,7 +214,7 @@ class TestRingSubscriberSystem(unittest.TestCase):
 
 
 class TestMonitorBehindTheLink(unittest.TestCase):
-    """Each fault of a ring stops the robot, and fresh data frees it again."""
+    """Each fault of a ring stops the robot, and fresh data release it."""
 
     @classmethod
     def setUpClass(cls):
@@ -250,12 +250,12 @@ class TestMonitorBehindTheLink(unittest.TestCase):
         cls.diagram = builder.Build()
 
     def run_monitor(self, make_datagrams, *, seconds, **changes):
-        """Runs the monitor on datagrams that are made tick by tick.
+        """Runs the monitor on datagrams made tick by tick.
 
         Args:
             make_datagrams: Takes ring, sequence and time of the scan's end;
                 returns the datagrams that arrive then.
-            seconds: For how long.
+            seconds: Duration.
             changes: Of the link's settings.
 
         Returns:
@@ -285,9 +285,9 @@ class TestMonitorBehindTheLink(unittest.TestCase):
         return trace
 
     def check_fault(self, fault, *, within, reason, **changes):
-        """From 0.5 s to 1 s the elbow's frames suffer from a fault.
+        """Injects a fault into the elbow's frames from 0.5 s to 1 s.
 
-        Before it and some time after it, in an empty room, all is normal.
+        Before it and some time after it, in an empty room, the state is normal.
         """
 
         def make_datagrams(ring, sequence, time):
@@ -334,7 +334,7 @@ class TestMonitorBehindTheLink(unittest.TestCase):
         self.check_fault(repeat, within=0.125, reason="elbow sample is")
 
     def test_frozen_payload(self):
-        """The device goes on counting, but its samples stand still."""
+        """The device goes on counting, but its samples are frozen."""
         first = []
 
         def freeze(frame):

@@ -18,7 +18,7 @@ class TestRobotClock(unittest.TestCase):
     def test_begins_at_zero_and_hits_the_ticks(self):
         clock = RobotClock(period=_PERIOD)
         for k in range(1000):
-            # A sum gathers rounding errors, as a robot's clock may.
+            # A sum accumulates rounding errors, as a robot's clock may.
             timestamp = 54.321 + sum([_PERIOD] * k)
             self.assertEqual(
                 clock.update(report(timestamp, 900.0 + timestamp)), k * _PERIOD
@@ -43,7 +43,7 @@ class TestRobotClock(unittest.TestCase):
         clock = RobotClock(period=_PERIOD)
         clock.update(report(500.0, 1.0))
         clock.update(report(500.008, 1.008))
-        # The robot started anew: its clock is back at zero after 2 s.
+        # The robot has restarted: its clock is back at zero after 2 s.
         time = clock.update(report(0.5, 3.008, session=1))
         self.assertAlmostEqual(time, 2.008)
         self.assertAlmostEqual(
@@ -69,7 +69,7 @@ class TestRobotClock(unittest.TestCase):
 
 class TestRate(unittest.TestCase):
     def run_clock(self, *, rate=1.0, late=lambda t: 0.0, seconds=10.0):
-        """Returns the rates that were known, one per report."""
+        """Returns the known rates, one per report."""
         clock = RobotClock(period=_PERIOD)
         rates = []
         for k in range(round(seconds / _PERIOD)):

@@ -92,7 +92,7 @@ class TestStream(unittest.TestCase):
             self.assertEqual(report.products_placed, 2)
 
     def test_any_cuts_and_texts_anywhere(self):
-        """Every byte alone, and all of them at once."""
+        """Every byte alone, and all together."""
 
         class Server(OddServer):
             piece = 1
@@ -498,7 +498,7 @@ class TestWriting(unittest.TestCase):
             [payload.hex() for _, payload in server.received],
             [
                 "01000000013fd000000000000000000007",
-                # Whoever leaves stops the robot.
+                # A client that leaves stops the robot.
                 "01000000010000000000000000" + "00000007",
             ],
         )
@@ -515,7 +515,7 @@ class TestWriting(unittest.TestCase):
         self.assertEqual(server.robot.slider, 1.0)
 
     def test_robot_that_does_not_read(self):
-        """Sending never waits: the connection is given up instead."""
+        """Sending never blocks: the connection is given up instead."""
 
         class Server(OddServer):
             def stream(self):
@@ -593,7 +593,7 @@ class TestWithSimulatedRobot(unittest.TestCase):
             self.assertEqual(status.connections, 1)
 
     def test_a_pause_of_the_reader_is_no_silence(self):
-        """What came meanwhile is read before the robot counts as gone."""
+        """Data that came meanwhile are read before the robot counts as gone."""
         pauses = iter([0.3])
         was_paused = threading.Event()
 
@@ -655,7 +655,7 @@ class TestWithSimulatedRobot(unittest.TestCase):
                     self.assertEqual(threading.active_count(), threads)
 
     def test_what_answers_a_report_of_before_is_not_sent(self):
-        """Else a tick that took long would move a robot that began anew."""
+        """Otherwise a slow tick could move a robot that has restarted."""
         robot = make_robot()
         with serve(robot) as server, connect(server) as dut:
             old = dut.wait_for_report(after=-1, timeout=120)

@@ -47,13 +47,13 @@ _DECODERS = [
 
 
 def read_one(package):
-    """Returns type and payload of what must be one whole package."""
+    """Returns type and payload of exactly one package."""
     ((kind, payload),) = mut.PackageReader().feed(package)
     return kind, payload
 
 
 class TestBytes(unittest.TestCase):
-    """Messages as they are on the wire, written down by hand."""
+    """Messages as on the wire, written by hand."""
 
     def check(self, package, text):
         self.assertEqual(package, bytes.fromhex(text))
@@ -193,7 +193,7 @@ class TestRoundTrips(unittest.TestCase):
         self.assertEqual(
             mut.decode_output_setup(payload), (frequency, tuple(names))
         )
-        # The comma that some clients leave at the end is no field.
+        # The comma that some clients leave at the end is not a field.
         self.assertEqual(
             mut.decode_output_setup(payload + b","), (frequency, tuple(names))
         )
@@ -262,7 +262,7 @@ class TestPackageReader(unittest.TestCase):
     def test_size_below_header_is_fatal(self):
         dut = mut.PackageReader()
         good = mut.encode_package(80)
-        # What was good before it is not lost.
+        # Good packages before it are not lost.
         self.assertEqual(dut.feed(good + b"\x00\x02U"), [(80, b"")])
         with self.assertRaisesRegex(RtdeError, "size 2"):
             dut.check()
@@ -286,10 +286,9 @@ class TestPackageReader(unittest.TestCase):
 class TestFuzz(unittest.TestCase):
     """A hundred thousand damaged streams.
 
-    RTDE has no checksum: what TCP hands over is believed. So a damaged
-    package of the right size and recipe cannot be told from a good one by
-    its bytes, and is accepted. None that has another size or recipe is, and
-    nothing but RtdeError ever comes out.
+    RTDE has no checksum: it trusts TCP. So a damaged package of the right size
+    and recipe cannot be distinguished from a good one and is accepted. Any
+    other is rejected, and only RtdeError is ever raised.
     """
 
     def test_damaged_streams(self):
@@ -308,8 +307,8 @@ class TestFuzz(unittest.TestCase):
             )
         )
         count, size = 100_000, len(stream)
-        # Up to four bytes of each are overwritten; then it is cut or begins
-        # late.
+        # Up to four bytes of each are overwritten; then its end or its
+        # beginning is cut off.
         where = random.integers(0, size, (count, 4))
         what = random.integers(0, 256, (count, 4), dtype=np.uint8)
         streams = np.tile(np.frombuffer(stream, np.uint8), (count, 1))

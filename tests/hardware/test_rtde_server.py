@@ -1,4 +1,4 @@
-"""The simulated controller, judged byte by byte."""
+"""The simulated controller, checked byte by byte."""
 
 import contextlib
 import itertools
@@ -20,7 +20,7 @@ import tofssm_drake.hardware.rtde_server as mut
 
 
 class RawClient:
-    """A socket with as little in front of it as can be."""
+    """A socket with as thin a layer as possible."""
 
     def __init__(self, address):
         self.socket = socket.create_connection(address, 5.0)
@@ -36,7 +36,7 @@ class RawClient:
         )
 
     def receive(self, timeout=120.0):
-        """Returns the next package, None if none comes."""
+        """Returns the next package; None if none comes."""
         self.socket.settimeout(timeout)
         while not self.waiting:
             try:
@@ -49,7 +49,7 @@ class RawClient:
         return self.waiting.pop(0)
 
     def forget(self):
-        """Drops what has come and not been read."""
+        """Drops unread data."""
         self.waiting.clear()
         self.socket.settimeout(0.0)
         with contextlib.suppress(BlockingIOError):
@@ -196,7 +196,7 @@ class TestHandshake(TestServer):
             self.assertEqual(
                 dut.ask("I", b"input_int_register_24"), dut_reply(dut)
             )
-        # Another recipe takes the place of the one before.
+        # A new recipe replaces the previous one.
         dut.set_up(b"robot_mode")
         self.assertEqual(dut.ask("S"), b"\x01")
         self.assertEqual(dut.receive()[1], struct.pack(">Bi", 1, 7))
@@ -225,7 +225,7 @@ class TestDivider(unittest.TestCase):
                 self.assertEqual(mut.calc_divider(rate, frequency), divider)
 
     def test_of_a_stream(self):
-        # One of those that a plain floor gets wrong.
+        # One of the values that a plain floor gets wrong.
         with serve(make_robot(series="e")) as server:
             dut = RawClient(server.address)
             self.addCleanup(dut.close)
@@ -259,7 +259,7 @@ class TestInputs(TestServer):
             second.ask("I", slider + b",input_int_register_0"),
             b"\x00IN_USE,IN_USE,INT32",
         )
-        # What was refused is not claimed.
+        # A refused input is not claimed.
         self.assertEqual(first.ask("I", b"input_int_register_0"), b"\x03INT32")
         self.assertEqual(
             second.ask("I", b"nonsense,speed_slider_mask"),
@@ -314,7 +314,7 @@ class TestInputs(TestServer):
                 kind, payload = dut.receive()
                 self.assertEqual(kind, PackageType.TEXT_MESSAGE)
                 self.assertIn(text, rtde.decode_text(payload).text)
-        # A client's own texts are no business of the robot's.
+        # The robot ignores a client's own texts.
         dut.send(ord("M"), b"\x02hi\x00\x03")
         self.assertEqual(len(dut.ask("v")), 16)
         self.assertEqual(self.robot.slider, 1.0)
@@ -328,7 +328,7 @@ class TestInputs(TestServer):
 
 
 class TestBadClients(TestServer):
-    """Whatever one of them does, the others are served."""
+    """Whatever one client does, the others are served."""
 
     def assert_serves(self):
         other = self.connect()
@@ -403,7 +403,7 @@ class TestBadClients(TestServer):
         client.socket.sendall(struct.pack(">HB", 3, ord("v")) * count)
         for _ in range(count):
             self.assertEqual(client.receive()[0], ord("v"))
-        # In the order in which they were asked, up to what cannot be.
+        # In the order of the requests, up to the impossible one.
         client.socket.sendall(
             rtde.encode_package(ord("v"))
             + rtde.encode_version_request(1)
@@ -417,9 +417,9 @@ class TestBadClients(TestServer):
 
 
 class SlowTime:
-    """A clock that goes on by half a millisecond whenever it is asked.
+    """A clock that advances by half a millisecond whenever it is read.
 
-    For a server that asks it, work takes time, the same on every computer.
+    For a server that reads it, work takes the same time on every computer.
     """
 
     def __init__(self):
@@ -431,7 +431,7 @@ class SlowTime:
 
 
 class TestFloods(unittest.TestCase):
-    """The robot's cycles are on time, whoever floods the server."""
+    """The robot's cycles are on time even if a client floods the server."""
 
     def check(self, get_address, flood, clients=1):
         with contextlib.ExitStack() as stack:
@@ -466,7 +466,7 @@ class TestFloods(unittest.TestCase):
                 self.assertEqual(gap, 1)
 
     def test_of_the_dashboard(self):
-        # A line that asks the clock.
+        # A line that reads the clock.
         flood = b"simulate stall 0\n" * 500
         gap = self.check(lambda s: s.dashboard_address, flood, 20)
         self.assertEqual(gap, 1)
@@ -482,7 +482,7 @@ class TestStreams(TestServer):
         slow.ask("S")
         fast.set_up(b"timestamp")
         fast.ask("S")
-        # Longer than the slow one's buffers last.
+        # Longer than the slow client's buffers last.
         first = struct.unpack(">xd", fast.receive()[1])[0]
         times = [first]
         while times[-1] - first < 2.0:
@@ -509,7 +509,7 @@ class TestStreams(TestServer):
 
         def do(line):
             self.server.do(f"simulate {line}")
-            # What waits is from before.
+            # Waiting packages are from before.
             dut.forget()
 
         times = read(2)

@@ -220,7 +220,7 @@ class TestReceiver(unittest.TestCase):
 
 class TestLoop(unittest.TestCase):
     def test_commands_answer_the_report_of_their_step(self):
-        """Each is sent once and in the step of its report."""
+        """Each is sent once, in the step of its report."""
         connection = LoopbackConnection()
         loop = Loop(connection, wait_timeout=0)
         connection.put(make_report(0))
@@ -242,7 +242,7 @@ class TestLoop(unittest.TestCase):
         self.assertGreater(connection.sent[-1].speed_fraction, 0.3)
 
     def test_the_last_that_was_published_is_remembered(self):
-        """Whatever was computed of a report before the law had seen it."""
+        """Whatever was computed for a report before the law had seen it."""
         sent = []
         for others in (0, 3):
             connection = LoopbackConnection()
@@ -254,7 +254,7 @@ class TestLoop(unittest.TestCase):
                 report = make_report(i, target_speed_fraction=echo)
                 connection.put(report)
                 for k in range(others):
-                    # Steps before the law's, and what it said meanwhile.
+                    # Steps before the law's, with its old output.
                     loop.simulator.AdvanceTo(loop.context.get_time() + 0.0005)
                     loop.set_wanted(0.3 * k)
                 loop.simulator.AdvanceTo(report.timestamp)
@@ -342,7 +342,7 @@ class TestWithRobot(unittest.TestCase):
             if until(report):
                 return report.timestamp - start
         state = loop.eval(loop.control, "slider")
-        raise AssertionError(f"waited in vain; {report} {state}")
+        raise AssertionError(f"gave up waiting: {report} {state}")
 
     def test_over_a_socket(self):
         """A whole loop: rises, is stopped, a person slows it, a pause."""
@@ -367,7 +367,7 @@ class TestWithRobot(unittest.TestCase):
             self.run_loop(loop, stands, seconds=0.5)
             loop.set_wanted(1.0)
             self.run_loop(loop, lambda r: r.target_speed_fraction == 1.0)
-            # So soon after a change it would pass for a late echo.
+            # Right after a change it would pass for a late echo.
             start = loop.context.get_time()
             self.run_loop(loop, lambda r: r.timestamp > start + 0.3)
             server.do("simulate slider 0.4")

@@ -29,7 +29,7 @@ def make_tick(k, scans):
         state={
             "robot_state": 1,
             "ring_states": [1, 2, 1],
-            "reason": 'a "NaN" is no number',
+            "reason": 'a "NaN" is not a number',
             "speed_fraction": 1 / 3,
             "slider_phase": 1,
             "slider_reason": "",
@@ -172,7 +172,7 @@ class TestRunRecord(unittest.TestCase):
         whole = self.path.read_bytes()
         middle = whole.index(b'"sequence":25,')
         for changed, ticks in (
-            # One bit; no more JSON; no tick any more; no more MCAP.
+            # One bit; not JSON; not a tick; not MCAP.
             (whole.replace(b'"time":0.2', b'"time":0.3', 1), 50),
             (whole[:middle] + b"}" * 9 + whole[middle + 9 :], 25),
             (whole.replace(b'"report":{', b'"reporT":{', 1), 0),
@@ -195,7 +195,7 @@ class TestRunRecord(unittest.TestCase):
             for _, channel, message in reader.iter_messages():
                 counts[channel.topic] = counts.get(channel.topic, 0) + 1
                 if channel.message_encoding == "json":
-                    # Strict: what is no JSON does not pass.
+                    # Strict: invalid JSON does not pass.
                     json.loads(message.data, parse_constant=self.fail)
         self.assertEqual(
             counts,
@@ -211,11 +211,11 @@ class TestRunRecord(unittest.TestCase):
 
     def test_a_run_that_never_begins_leaves_what_was_there(self):
         with mut.RunRecorder(self.path) as recorder:
-            recorder.add_robot_bytes(0.0, False, b"in vain")
+            recorder.add_robot_bytes(0.0, False, b"too late")
         self.assertFalse(self.path.exists())
         self.path.write_bytes(b"of an earlier run")
         with mut.RunRecorder(self.path) as recorder:
-            recorder.add_robot_bytes(0.0, False, b"in vain")
+            recorder.add_robot_bytes(0.0, False, b"too late")
         self.assertEqual(self.path.read_bytes(), b"of an earlier run")
 
     def test_what_came_before_the_run_is_written_with_it(self):
@@ -240,7 +240,7 @@ class TestRunRecord(unittest.TestCase):
         with mut.RunRecorder(self.path, {}) as recorder:
             recorder.add_tick(make_tick(0, (scan,)))
             resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, limits[1]))
-            # Whoever hands in bytes is not bothered.
+            # Callers that hand in bytes are not disturbed.
             recorder.add_robot_bytes(0.0, False, bytes(200_000))
             with self.assertRaisesRegex(UserError, "File too large"):
                 for k in range(1, 1000):
@@ -291,7 +291,7 @@ class TestRunRecord(unittest.TestCase):
                 jsonschema.validate(
                     json.loads(message.data), json.loads(schema.data)
                 )
-        # They do forbid something.
+        # They do reject something.
         broken = json.loads(message.data) | {"q": 1}
         with self.assertRaises(jsonschema.ValidationError):
             jsonschema.validate(broken, json.loads(schema.data))

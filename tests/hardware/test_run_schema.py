@@ -10,11 +10,11 @@ _PLAIN = ["boolean", "string", "number", "integer"]
 def find_faults(schema, where):
     """Returns what Foxglove's reader of schemas would refuse.
 
-    It wants one type per property, never null, properties of each object,
-    items of one type in each array, and names for numbers only.
+    It needs one type per property, never null, properties of each object, items
+    of one type in each array, and names for numbers only.
     """
     if schema.get("type") != "object" or "properties" not in schema:
-        return [f"{where} is no object with properties"]
+        return [f"{where} is not an object with properties"]
     faults = []
     for name, part in schema["properties"].items():
         at = f"{where}.{name}"

@@ -146,7 +146,7 @@ class TestKinematics(unittest.TestCase):
 
 class TestMotion(unittest.TestCase):
     def check_consistent(self, robot, data):
-        """The speeds that are told are those of the positions told."""
+        """The reported speeds match the reported positions."""
         period = 1 / robot.rate
         np.testing.assert_allclose(
             np.diff(data["timestamp"]), period, atol=1e-9
@@ -166,7 +166,7 @@ class TestMotion(unittest.TestCase):
                     robot.step()
                 self.assertEqual(robot.outputs["output_int_register_24"], 2)
                 self.assertEqual(robot.outputs["actual_qd"], (0.0,) * 6)
-                # Nobody moves it after that but play.
+                # After that only play moves it.
                 q = robot.outputs["actual_q"]
                 run(robot, 10)
                 self.assertEqual(robot.outputs["actual_q"], q)
@@ -293,7 +293,7 @@ class TestModes(unittest.TestCase):
         self.assertFalse(robot.play())
         robot.set_safety_mode(SafetyMode.NORMAL)
         run(robot, 10)
-        # It does not go on by itself.
+        # It does not resume on its own.
         self.assertEqual(robot.speed_fraction, 0.0)
         self.assertTrue(robot.play())
         run(robot, 40)
@@ -331,7 +331,7 @@ class TestWatchdog(unittest.TestCase):
                 robot = make_robot(watchdog_timeout=0.1, watchdog_action=action)
                 self.beat(robot, 250)
                 self.assertEqual(robot.speed_fraction, 1.0)
-                # The same number over and over is no sign of life.
+                # Repeating the same number is not a sign of life.
                 for _ in range(12):
                     robot.receive({"input_int_register_24": 249})
                     robot.step()
@@ -353,7 +353,7 @@ class TestWatchdog(unittest.TestCase):
         self.assertEqual(robot.runtime_state, RuntimeState.STOPPED)
         self.beat(robot, 3, first=1)
         self.assertEqual(robot.runtime_state, RuntimeState.PLAYING)
-        # Once tripped, people start it again, not the heartbeat.
+        # Once tripped, only people restart it, not the heartbeat.
         run(robot, 60)
         self.beat(robot, 10, first=9)
         self.assertEqual(robot.runtime_state, RuntimeState.STOPPED)

@@ -1,4 +1,4 @@
-"""`tofssm simulated-ur` as others meet it: a process of its own."""
+"""`tofssm simulated-ur` in a process of its own."""
 
 import contextlib
 import io
@@ -27,7 +27,7 @@ def wait_for(client, condition, timeout=120.0):
         report = client.wait_for_report(after=report.sequence, timeout=0.5)
         if condition(report):
             return report
-    raise AssertionError(f"waited in vain; {client.get_status()}")
+    raise AssertionError(f"gave up waiting: {client.get_status()}")
 
 
 class TestProcess(unittest.TestCase):
@@ -55,7 +55,7 @@ class TestProcess(unittest.TestCase):
                 self.assertEqual(process.stdout.read(), "")
 
     def check_watchdog(self, host):
-        """A killed monitor: the robot's program stops by itself."""
+        """If the monitor is killed, the robot's program stops on its own."""
         with RtdeClient(RtdeConfig(host=host, write=False)) as watcher:
             report = wait_for(watcher, lambda r: r.sequence >= 0)
             self.assertEqual(report.runtime_state, RuntimeState.STOPPED)
@@ -76,7 +76,7 @@ class TestProcess(unittest.TestCase):
                         and not r.velocity.any()
                     ),
                 )
-            # The slider is still where the dead one left it.
+            # The slider is still where the killed one left it.
             self.assertEqual(stopped.target_speed_fraction, 1.0)
 
     def check_dashboard(self, host, port):

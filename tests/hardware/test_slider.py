@@ -16,7 +16,7 @@ _PERIOD = 0.008
 
 
 class Robot:
-    """A robot with a slider: what is written shows `delay` reports later."""
+    """A robot whose slider shows a written value `delay` reports later."""
 
     def __init__(self, *, delay=1, slider=1.0):
         self.delay = delay
@@ -210,7 +210,7 @@ class TestFault(unittest.TestCase):
                 )
                 phases = [s.phase for s in states]
                 first = phases.index(SliderPhase.FAULT)
-                # Twice the time to confirm, and the reports at its ends.
+                # Twice the time to confirm, plus the reports at its ends.
                 self.assertLessEqual(first, 2 * cycles + 2)
                 self.assertGreaterEqual(first, 2 * cycles)
                 self.assertIn("slider does not obey", states[-1].reason)
@@ -227,7 +227,7 @@ class TestFault(unittest.TestCase):
             {(s.command.mask, s.command.speed_fraction) for s in fault},
             {(1, 0.0)},
         )
-        # It ends when 0 is seen, and goes on slowly.
+        # It ends when 0 is seen, and the speed recovers slowly.
         robot.obeys = True
         states = run(robot, 1.0, cycles=150, state=states[-1])
         phases = list(dict.fromkeys(s.phase for s in states))
@@ -271,7 +271,7 @@ class TestFault(unittest.TestCase):
                 self.assertEqual((min(fractions), max(fractions)), (0.0, 0.3))
 
     def test_at_first_it_is_not_known_where_the_slider_stands(self):
-        """A person may have set it anywhere: up to 0, until one moves it."""
+        """A person may have set it anywhere: at most 0, until one moves it."""
         for echo in (math.nan, -0.5):
             with self.subTest(echo=echo):
                 robot = Robot(slider=echo)
@@ -287,7 +287,7 @@ class TestFault(unittest.TestCase):
 
 class TestLateComputer(unittest.TestCase):
     def test_only_every_twentieth_report_is_seen(self):
-        """Being late is neither disobedience nor a leap upwards."""
+        """Being late is neither disobedience nor a jump upwards."""
         config = mut.SliderConfig()
         robot = Robot()
         state = mut.SliderState()
@@ -315,7 +315,7 @@ class TestOperator(unittest.TestCase):
         self.assertEqual({s.phase for s in states}, {SliderPhase.YIELDING})
         self.assertEqual({s.command.mask for s in states}, {0})
         self.assertIn("someone has set the slider to 0.30", states[0].reason)
-        # The law may want less still, and then more again.
+        # The law may want even less, and then more again.
         states = run(robot, 0.1, cycles=10, state=states[-1])
         self.assertEqual(robot.slider, 0.1)
         states = run(robot, 0.8, cycles=10, state=states[-1])
@@ -370,7 +370,7 @@ class TestHold(unittest.TestCase):
             ({"runtime_state": 4}, "program: paused"),
             ({"runtime_state": 1}, "program: stopped"),
             ({"runtime_state": -1}, "program: unknown (-1)"),
-            # Contradicts the modes; those who tell nothing say 0.
+            # Contradicts the modes; 0 means that nothing is reported.
             ({"safety_status_bits": 5}, "safety status bits: 0x5"),
             ({"safety_status_bits": 1 << 10}, "safety status bits: 0x400"),
             ({"safety_status_bits": 3}, ""),
@@ -420,7 +420,7 @@ class TestHold(unittest.TestCase):
         states = run(robot, 0.8, cycles=300, state=states[-1])
         for dut in states[0], states[-1]:
             self.assertIn("protective stop, right after", dut.reason)
-        # One that comes of itself is not blamed on that.
+        # One with another cause is not blamed on that.
         robot = Robot()
         state = settle(robot)
         robot.modes["safety_mode"] = 3
@@ -469,13 +469,13 @@ class TestLateEcho(unittest.TestCase):
 
 
 class TestRecovery(unittest.TestCase):
-    """From whatever was wrong, speed returns through the reduced fraction."""
+    """After any problem, speed recovers through the reduced fraction."""
 
     def setUp(self):
         self.robot = Robot()
 
     def go(self, wanted, cycles, state, problem=""):
-        """Returns the states of so many reports."""
+        """Returns the states of a number of reports."""
         states = []
         for _ in range(cycles):
             state = mut.step_slider(
@@ -486,13 +486,13 @@ class TestRecovery(unittest.TestCase):
         return states
 
     def assert_reduced_first(self, states):
-        """0.5 s at one half with no more before, and 1 in the end."""
+        """0.5 s at one half, never more before, and 1 in the end."""
         fractions = [s.command.speed_fraction for s in states]
         above = next(i for i, f in enumerate(fractions) if f > 0.5)
         at = [f == 0.5 for f in fractions[:above]]
         self.assertGreaterEqual(sum(at) * _PERIOD, 0.5)
         self.assertLessEqual(sum(at) * _PERIOD, 0.5 + 4 * _PERIOD)
-        # In one piece, right before.
+        # Without a gap, right before.
         self.assertTrue(all(at[-sum(at) :]))
         self.assertEqual(fractions[-1], 1.0)
         self.assertEqual(states[-1].phase, SliderPhase.FOLLOWING)
@@ -523,7 +523,7 @@ class TestRecovery(unittest.TestCase):
         self.assertLessEqual(lowest * _PERIOD, 0.16)
         self.assert_reduced_first(states[lowest:])
 
-    def test_each_problem_begins_it_anew(self):
+    def test_each_problem_restarts_it(self):
         state = settle(self.robot, 1.0)
         for _ in range(5):
             state = self.go(0.0, 1, state, "base sample is too old")[-1]
@@ -532,7 +532,7 @@ class TestRecovery(unittest.TestCase):
             self.assertEqual(state.command.speed_fraction, 0.5)
 
     def test_a_person_near_does_not_count_as_time_that_was_well(self):
-        """Only what the slider spends at the reduced fraction counts."""
+        """Only the time at the reduced fraction counts."""
         state = settle(self.robot, 1.0)
         state = self.go(0.0, 50, state, "elbow is faulted")[-1]
         state = self.go(0.0, 500, state)[-1]
@@ -571,7 +571,7 @@ class TestRecovery(unittest.TestCase):
 
 
 class TestSession(unittest.TestCase):
-    def test_new_connection_begins_anew(self):
+    def test_new_connection_starts_again(self):
         robot = Robot()
         state = settle(robot)
         beat = state.command.heartbeat
@@ -603,7 +603,7 @@ class TestSession(unittest.TestCase):
             self.assertEqual(max(written), 0.3)
             self.assertEqual(robot.slider, 0.3)
             self.assertEqual(state.phase, SliderPhase.YIELDING)
-        # Who sets it higher meanwhile is not believed, afterwards he is.
+        # A person who raises it meanwhile is ignored, but not afterwards.
         robot.slider = 0.9
         self.reconnect(robot)
         state = run(robot, 1.0, cycles=400, state=state)[-1]
@@ -631,7 +631,7 @@ class TestSession(unittest.TestCase):
 
 
 class TestLimit(unittest.TestCase):
-    """Where the slider stands at the start is what a person allows."""
+    """Where the slider stands at the start is the person's limit."""
 
     def test_low_at_the_start(self):
         robot = Robot(slider=0.1)

@@ -1,4 +1,4 @@
-"""The simulated controller, judged by a library that many use."""
+"""The simulated controller, checked with a widely used library."""
 
 import json
 from pathlib import Path
@@ -66,5 +66,5 @@ class TestUrRtde(unittest.TestCase):
                 self.assertIn(f"{host}:30004", process.stdout.readline())
                 self.check(host)
                 if options == ("--series", "cb3"):
-                    # What the first had claimed is free again.
+                    # The first one's inputs are free again.
                     self.check(host)

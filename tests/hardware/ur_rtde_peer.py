@@ -1,7 +1,7 @@
-"""Asks a controller everything through ur_rtde and prints it as JSON.
+"""Queries a controller through ur_rtde and prints the answers as JSON.
 
-A program of its own: ur_rtde holds the interpreter's lock while it connects,
-and aborts the process if the controller goes away.
+It is a separate program, as ur_rtde holds the interpreter's lock while it
+connects, and aborts the process if the controller goes away.
 """
 
 import json

@@ -63,12 +63,12 @@ def run_hardware(server, *options, text=_NOBODY, rings="virtual", err=None):
 
 @contextlib.contextmanager
 def at_ticks(actions):
-    """Does things before certain ticks of the loop that is made next."""
+    """Calls functions before certain ticks of the next loop."""
     tick, count = HardwareLoop.tick, 0
 
     def act(loop, given):
         nonlocal count
-        # The loop counts its ticks in vain as well.
+        # The loop counts its warm-up ticks as well.
         count += 1
         if count in actions:
             actions[count]()
@@ -80,7 +80,7 @@ def at_ticks(actions):
 
 @contextlib.contextmanager
 def when(condition, action):
-    """Does something once, before the first tick at which a condition holds.
+    """Calls a function once, before the first tick at which a condition holds.
 
     Also yields a list that is empty before it was done.
     """
@@ -149,11 +149,11 @@ class TestHardware(unittest.TestCase):
         )
 
     def test_real_time_only_if_asked_for(self):
-        """What the system does not grant is told, and the run goes on."""
+        """A refused priority is reported, and the run goes on."""
         with mock.patch.object(
             os, "sched_setscheduler", side_effect=PermissionError
         ) as ask:
-            for options, told in (((), False), (("--real-time",), True)):
+            for options, asked in (((), False), (("--real-time",), True)):
                 with (
                     self.subTest(options=options),
                     serve(make_robot(start="heartbeat")) as server,
@@ -164,13 +164,13 @@ class TestHardware(unittest.TestCase):
                     )
                     self.assertEqual(code, 0, err)
                     self.assertIn("ran for 0.5 s", out)
-                    self.assertEqual(ask.called, told)
+                    self.assertEqual(ask.called, asked)
                     self.assertEqual(
-                        "the system does not grant a real-time" in err, told
+                        "the system does not grant a real-time" in err, asked
                     )
 
     def test_the_tick_is_the_robots(self):
-        """An e-Series needs no setting; what does not fit it is refused."""
+        """An e-Series needs no setting; an unsuitable one is refused."""
         path = self.folder / "run.mcap"
         with serve(make_robot(series="e", start="heartbeat")) as server:
             for options, period in (
@@ -218,7 +218,7 @@ class TestHardware(unittest.TestCase):
         self.assertEqual(code, 1)
         self.assertIn("robot_state 2, was 1", out)
         self.assertRegex(out, "the record is damaged: the checksum of its")
-        # Cut off, as of a process that was killed.
+        # Cut off, as by a process that was killed.
         path.write_bytes(data[: len(data) * 2 // 3])
         code, out = run_replay(path)
         self.assertEqual(code, 0)
@@ -272,7 +272,7 @@ class TestHardware(unittest.TestCase):
             self.assertIn("robot: reports no pose of its tool", err)
 
     def test_settings_of_the_checks(self):
-        """And a record knows them: else a replay would tell a difference."""
+        """And a record has them: otherwise a replay would find a difference."""
         with (
             tempfile.TemporaryDirectory() as folder,
             serve(make_robot(start="heartbeat")) as server,
@@ -333,7 +333,7 @@ class TestHardware(unittest.TestCase):
         waited = []
 
         class Terminal(io.StringIO):
-            """Is held from some time on, until the robot's slider is at 0."""
+            """Blocks from some time on, until the robot's slider is at 0."""
 
             is_held = False
 
@@ -366,7 +366,7 @@ class TestHardware(unittest.TestCase):
             code, out, _ = run_hardware(server, err=terminal)
         self.assertEqual((code, waited), (1, [True, 0.0]), out)
 
-    def test_a_stream_that_stalls_begins_anew_from_zero(self):
+    def test_a_stream_that_stalls_starts_again_from_zero(self):
         path = self.folder / "run.mcap"
         robot = make_robot(start="heartbeat")
         with (
@@ -381,15 +381,15 @@ class TestHardware(unittest.TestCase):
         self.assertIn("no package for 0.1 s", err)
         self.assertIn("robot: all is well again", err)
         ticks = list(RunReader(path).read_ticks())
-        anew = [
+        restarts = [
             (a, b)
             for a, b in itertools.pairwise(ticks)
             if b.report.session != a.report.session
         ]
-        # A busy computer may make more of them by itself.
-        stalls = [a for a, b in anew if b.report.time - a.report.time > 0.4]
+        # A busy computer may cause more of them.
+        stalls = [a for a, b in restarts if b.report.time - a.report.time > 0.4]
         self.assertGreaterEqual(len(stalls), 1)
-        for _, first in anew:
+        for _, first in restarts:
             self.assertEqual(first.command.speed_fraction, 0.0)
             self.assertEqual(first.command.mask, 1)
 
@@ -539,7 +539,7 @@ class TestHardware(unittest.TestCase):
                     )
                 ),
             ):
-                # What is not refused ends none the less.
+                # A run that is not refused ends all the same.
                 options = ("--wait", 0.3, *options)
                 with self.subTest(message=message, rings=rings):
                     code, out, err = run_hardware(server, *options, rings=rings)
@@ -697,7 +697,7 @@ class TestHardware(unittest.TestCase):
             time.sleep(timeout)
             seen.append(robot.slider)
             if len(seen) == 3:
-                # Somebody raises it once more.
+                # Somebody raises it again.
                 robot.slider = 0.8
             return False
 
@@ -726,7 +726,7 @@ class TestHardware(unittest.TestCase):
         self.assertIn("refused", err)
 
     def test_a_message_is_a_line(self):
-        """However wide the terminal would be that stderr is not."""
+        """Whatever the width of a terminal, as stderr is not one."""
         columns = mock.patch.dict(os.environ, COLUMNS="80")
         quiet = mock.patch.object(hardware_run, "_QUIET", 0.0)
         with serve() as server, columns, quiet:

@@ -34,5 +34,5 @@ def test_refuses_before_it_starts_anything(
     assert captured.out == ""
     (line,) = captured.err.splitlines()
     assert line.startswith(f"tofssm: {message}")
-    # Nor has it made its usual folder.
+    # Nor has it made its default folder.
     assert not (tmp_path / "out").exists()

@@ -1,8 +1,8 @@
-"""`tofssm hardware` as a user meets it: robot, rings, runner, a process each.
+"""`tofssm hardware` as a user runs it: robot, rings, runner as processes.
 
-Whatever happens, the robot comes to rest. How fast is written by `make
-fault-table` and held in lock-step by test_hardware_faults: here a machine may
-be as slow as it likes.
+Whatever happens, the robot comes to rest. How fast is measured by `make
+fault-table` and checked in lock-step by test_hardware_faults: here the machine
+may be slow.
 """
 
 import json
@@ -29,7 +29,7 @@ from tofssm_drake.messages import RobotState
 
 class TestRings(unittest.TestCase):
     def check_record(self, path, why):
-        """From the stop on speed comes back through one half."""
+        """After the stop, speed recovers through one half."""
         ticks = list(RunReader(path).read_ticks())
         stops = [
             i
@@ -67,7 +67,7 @@ class TestRings(unittest.TestCase):
             runner.wait_for(r"stop, slider \w+: stop: .* sample is")
             cell.rings.process.send_signal(signal.SIGCONT)
             cell.wait_for_full_speed(runner)
-            # The runner is told to stop.
+            # The runner is stopped.
             start = time.monotonic()
             runner.process.send_signal(signal.SIGTERM)
             seen = cell.watcher.see(start)
@@ -78,7 +78,7 @@ class TestRings(unittest.TestCase):
             )
             self.assertIn("interrupted; slider set to 0", runner.out)
             self.check_record(path, "sample is")
-            # Another one is killed: the robot's watchdog does the rest.
+            # Another one is killed: the robot's watchdog stops the robot.
             runner = cell.start_runner(main=PATIENT)
             cell.wait_for_full_speed(runner)
             start = time.monotonic()
@@ -103,7 +103,7 @@ class TestRings(unittest.TestCase):
             self.assertEqual(seen.slider, 0.0)
             runner.wait_for(r"stop, slider \w+: stop: .* sample is")
             runner.wait_for(r"rings: serial:///dev/\S+ is gone")
-            # It does not wait for it in motion, but it waits.
+            # It waits for it, but not in motion.
             self.assertIsNone(runner.process.poll())
 
 
@@ -130,7 +130,7 @@ class TestDemo(unittest.TestCase):
             path = out / "run.mcap"
             ticks = list(RunReader(path).read_ticks())
             self.assertGreater(len(ticks), 5)
-            # The last that the robot was told, and that it answered.
+            # The last command to the robot, and its echo.
             sent, echo = read_last_slider(path)
             self.assertEqual((sent, echo), (0.0, 0.0))
 
@@ -142,7 +142,7 @@ def find_children(pid):
 
 
 def read_last_slider(path):
-    """Returns what was last written to the slider, and what the robot said."""
+    """Returns what was last written to the slider, and the robot's echo."""
     with path.open("rb") as stream:
         messages = [
             (channel.topic, message.data)

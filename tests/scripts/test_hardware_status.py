@@ -24,7 +24,7 @@ def make_result(
     sensors=("", "", ""),
     **changes,
 ):
-    """What a tick gives, as far as it is told."""
+    """Returns a tick's result, as far as it is printed."""
     slider = SliderState(phase=SliderPhase.FOLLOWING, reason="")
     return types.SimpleNamespace(
         **{
@@ -80,7 +80,7 @@ class TestStatus(unittest.TestCase):
         self.assertTrue(line.startswith("reduced  dry run  tool"))
 
     def test_a_late_link_is_seen(self):
-        """By when its samples were measured, not by when they came."""
+        """From when its samples were measured, not from when they came."""
         rings = dc.replace(
             make_rings(),
             measured={"base": 99.990, "tool": 95.5},
@@ -125,7 +125,7 @@ class TestStatus(unittest.TestCase):
 
 class TestChanges(unittest.TestCase):
     def find(self, states, **options):
-        """Returns the times of ticks 8 ms apart that are told."""
+        """Returns the times of ticks 8 ms apart that are reported."""
         changes = mut.Changes(**{"dry_run": False} | options)
         return [
             round(0.008 * k, 3)
@@ -154,12 +154,12 @@ class TestChanges(unittest.TestCase):
             make_result(0.2, RobotState.NORMAL, slider=later),
             make_result(0.3, RobotState.NORMAL, problem="base is faulted"),
         ]
-        told = [bool(changes.find(r)) for r in results]
-        self.assertEqual(told, [True, True, False, True])
+        found = [bool(changes.find(r)) for r in results]
+        self.assertEqual(found, [True, True, False, True])
         # In a dry run nobody expects the slider to obey.
         changes = mut.Changes(dry_run=True)
-        told = [bool(changes.find(r)) for r in results]
-        self.assertEqual(told, [True, False, False, True])
+        found = [bool(changes.find(r)) for r in results]
+        self.assertEqual(found, [True, False, False, True])
 
 
 class TestThread(unittest.TestCase):

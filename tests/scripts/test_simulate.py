@@ -409,7 +409,7 @@ BAD_INPUT = {
         _file("Cell: {}\nOther: {}\nCell: {random_seed: 3}\n"),
         "cell.yaml:3: Cell: appears twice, first in line 1",
     ),
-    "octal": (_text("{random_seed: 010}"), "which YAML takes for 8"),
+    "octal": (_text("{random_seed: 010}"), "which YAML reads as 8"),
     "list_as_a_key": (_text("{? [1,2] : 3}"), "a key must be a word"),
     "number_for_text": (
         _text("{sensing: 3}"),

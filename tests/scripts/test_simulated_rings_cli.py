@@ -1,4 +1,4 @@
-"""The process, with a simulated robot in another one."""
+"""The process, with a simulated robot in another process."""
 
 import contextlib
 import re

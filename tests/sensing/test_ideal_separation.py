@@ -106,7 +106,7 @@ def test_inside_the_person_and_on_the_bone():
 
 @pytest.mark.parametrize("wrong", [np.nan, np.inf])
 def test_what_is_nowhere_is_faulted(wrong):
-    """A link or a part of the person without a place is no clear view."""
+    """A link or a part of the person at an unknown place is not clear."""
     for p, end in (((0, wrong, 0), (1, 0, 0)), ((0, 0, 0), (1, wrong, 0))):
         dut = calc(p=p, ends=[[(1, 0, 0), end]], radii=[0.1])
         assert dut.health[0] == RingHealth.FAULTED
@@ -177,7 +177,7 @@ class Rig:
             ("skeleton", [x, 0, 0] * 2),
         ):
             self.dut.GetInputPort(name).FixValue(self.context, value)
-        # The update of a time happens when time goes on.
+        # The update at a time happens when time goes on.
         self.simulator.AdvanceTo(self.time + 1e-6)
         self.time += 0.008
         return self.dut.GetOutputPort("separation").Eval(self.context)
@@ -189,7 +189,7 @@ class TestSystem:
         first = rig.step(1.0)
         assert first.sequence.tolist() == [0, 0, 0]
         np.testing.assert_allclose(first.distance, 0.9)
-        # Nothing is known of the person's motion yet.
+        # The person's motion is not known yet.
         np.testing.assert_allclose(first.k_o, 1.6)
         second = rig.step(1.0 - 0.008 * 1.2, q=0.1, qd=0.5)
         assert second.sequence.tolist() == [1, 1, 1]

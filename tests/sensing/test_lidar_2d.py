@@ -184,7 +184,7 @@ class TestAngles(unittest.TestCase):
         np.testing.assert_allclose(
             self.calc(-1.0, 1.0, 0.5), np.arange(5) / 2 - 1
         )
-        # 0.3 is not quite three steps of 0.1 in floating point.
+        # 0.3 is not exactly three steps of 0.1 in floating point.
         np.testing.assert_allclose(self.calc(0.0, 0.3, 0.1), [0, 0.1, 0.2, 0.3])
 
     def test_steps_that_do_not_fit(self):

@@ -78,7 +78,7 @@ def test_background_is_the_tables_legs(cell):
 
 
 def test_the_robot_never_enters_the_plane(cell):
-    """Else it would take itself for a person."""
+    """Otherwise it would take itself for a person."""
     background = cell.scan()
     for s in np.linspace(0.0, cell.path.duration, 40):
         closed = float(cell.path.calc_gripper_closed(s))

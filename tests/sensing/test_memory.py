@@ -69,7 +69,7 @@ class TestHoldObstacles(unittest.TestCase):
             (CLEAR, HELD),
             (VALID, VALID),
             (CLEAR, HELD),
-            # The robot is where it must be: nothing is in front of it.
+            # The robot is seen where it must be: nothing is in front of it.
             (MASKED, MASKED),
             (CLEAR, CLEAR),
         )

@@ -160,7 +160,7 @@ class TestConfig(unittest.TestCase):
             np.testing.assert_allclose(np.linalg.norm(fan_S, axis=1), 1.0)
         same = mut.make_mask_fan(mut.OcclusionMaskConfig(), ring_config)[:25]
         np.testing.assert_array_equal(same, make_cone_fan(np.radians(25.0), 25))
-        # Farther than a sensor can measure by what a reading can be wrong.
+        # Farther than a sensor can measure by the error of a reading.
         cell = make_cell(config)
         np.testing.assert_allclose(cell["bundles"].max_range, 1.36 + 0.03)
 
@@ -337,7 +337,7 @@ class TestMaskScan(unittest.TestCase):
         )
         np.testing.assert_allclose(dut.position[0::2, 0], 0.5)
         np.testing.assert_allclose(dut.position[1::2, 0], 0.515)
-        # At both times, and then a little off that of the second sensor.
+        # At both times, and then slightly off that of the second sensor.
         asked = [q[0] for q, _, _ in cell["twin"].asked]
         np.testing.assert_allclose(asked, [0.5, 0.515, 0.509, 0.521])
         self.assertAlmostEqual(dut.self_nearest[0], 0.5, delta=1e-12)
@@ -351,7 +351,7 @@ class TestMaskScan(unittest.TestCase):
         self.assertEqual(second.previous_distance[0], 0.8)
         self.assertTrue(np.isnan(second.previous_distance[1:]).all())
         np.testing.assert_array_equal(second.previous_time, 1.0)
-        # The robot is not a person's sample before.
+        # The robot does not count as a person's previous sample.
         third = self.mask(make_scan(0.5, sequence=2, time=1.048), before=second)
         fourth = self.mask(make_scan(0.6, sequence=3, time=1.072), before=third)
         self.assertTrue(np.isnan(fourth.previous_distance).all())
@@ -381,7 +381,7 @@ class TestMaskScan(unittest.TestCase):
         self.assertEqual(fourth.fault[0], SensorFault.LATE)
         self.assertEqual(fourth.reading[0], HELD)
         self.assertEqual(fourth.reading[1], CLEAR)
-        # And when it is back, there is no sample before.
+        # And when it is back, there is no previous sample.
         fifth = self.mask(make_scan(0.6, sequence=4, time=1.12), before=fourth)
         self.assertEqual(fifth.reading[0], VALID)
         self.assertTrue(np.isnan(fifth.previous_distance[0]))
@@ -713,7 +713,7 @@ class TestMaskScans(unittest.TestCase):
                 self.assertEqual(a.dtype, b.dtype, name)
                 self.assertTrue(a.flags.c_contiguous, name)
                 self.assertFalse(a.flags.writeable, name)
-        # The hits are all those that were looked for.
+        # The hits are exactly the expected ones.
         valid = dut.reading == VALID
         for name in ("self_nearest", "self_farthest"):
             a, b = getattr(dut, name), getattr(expected, name)
@@ -844,7 +844,7 @@ class TestOcclusionMask(unittest.TestCase):
         self.fix_scan(make_scan(0.7, sequence=1, time=0.040))
         self.simulator.AdvanceTo(0.0561)
         self.assertEqual(self.eval().reading[0], VALID)
-        # The robot was masked: no sample before.
+        # The robot was masked: no previous sample.
         self.assertTrue(np.isnan(self.eval().previous_distance[0]))
 
     def test_rings_do_not_touch_each_other(self):
@@ -891,7 +891,7 @@ class TestOcclusionMask(unittest.TestCase):
         )
         self.assertEqual(len(self.cell["twin"].asked), 7)
 
-        # One by one they would be told the same.
+        # One by one they give the same.
         for ring in RINGS:
             self.setUp()
             self.fix_report(velocity=[-1.5, 0, 0, 0, 0, 0])

@@ -108,7 +108,7 @@ class TestClassify(unittest.TestCase):
         hits = dict(self_nearest=0.5, self_farthest=0.7)
         self.assertEqual(classify(0.6, 2, **hits)[0], CLEAR)
         self.assertEqual(classify(0.6, 1, **hits)[0], FAULTED)
-        # Something nearer than can be measured is not the robot at 0.5 m.
+        # Something too near to be measured is not the robot at 0.5 m.
         self.assertEqual(classify(0.6, 3, **hits)[0], VALID)
 
     def test_self_hit_nearer_than_can_be_measured(self):
@@ -155,7 +155,7 @@ class TestSelfInterval(unittest.TestCase):
 
 class TestRingHealth(unittest.TestCase):
     def check(self, readings, expected, *, faulted_for=0.02, dead=0):
-        """Tests a ring of so many clear, valid, masked, faulted sensors."""
+        """Tests a ring by numbers of clear, valid, masked, faulted sensors."""
         reading = np.repeat([CLEAR, VALID, MASKED, FAULTED], readings)
         fault = np.where(reading == FAULTED, SensorFault.BUS, SensorFault.NONE)
         times = np.where(reading == FAULTED, faulted_for, 0.02)

@@ -1,4 +1,4 @@
-"""The rings' watch on the default task, with each fault in the world."""
+"""The self-hit watch in the default task, with each fault in the world."""
 
 import functools
 import math
@@ -45,13 +45,13 @@ from tofssm_drake.sensing.vl53l1x import (
     measure,
 )
 
-# From look to look, s.
+# Between two looks, s.
 PERIOD = 0.072
 SENSORS = 24
 
 
 class World:
-    """What is really there: the cell, and a person where wanted."""
+    """The true cell, with a person if wanted."""
 
     def __init__(self, human=False):
         scene_graph = SceneGraph()
@@ -68,16 +68,16 @@ class World:
         row = {f: i for i, f in enumerate(self.caster.frame_ids)}
         self.human_rows = [row[f] for f in human_frames]
         others = [f for f in row if f not in set(human_frames)]
+        self.twin_rows = [row[f] for f in others]
         scenario = Scenario()
         self.poses = TwinPoses.from_plant(
             plant,
             layout=ProductLayout.from_config(scenario.program),
             frame_ids=others,
         )
-        self.other_rows = [row[f] for f in others]
 
     def make_bundles(self, turn=0.0, shift=0.0):
-        """Returns the rays of rings that are turned, rad, and moved, m."""
+        """Returns the rays of rings turned by some rad and moved by some m."""
         config = Scenario().rings
         return self.caster.make_bundles(
             frame_id=[m.frame_id for m in self.mounts for _ in m.X_FS],
@@ -95,7 +95,7 @@ class World:
 
     def cast(self, bundles, q, gripper_closed, products_placed, time):
         X_WF = np.empty((len(self.caster.frame_ids), 3, 4))
-        X_WF[self.other_rows] = self.poses.calc(
+        X_WF[self.twin_rows] = self.poses.calc(
             q, gripper_closed, products_placed
         )
         if self.motion is not None:
@@ -113,7 +113,7 @@ def make_world(human=False):
 
 @functools.cache
 def make_model_and_path():
-    """Returns what the monitor believes, and the task."""
+    """Returns the monitor's model, and the task."""
     scenario = Scenario()
     scene_graph = SceneGraph()
     plant = make_twin_plant(scene_graph=scene_graph)
@@ -128,12 +128,12 @@ def keep(distance, status):
 
 
 def number(order):
-    """A device whose sensors are numbered otherwise."""
+    """A device with wrongly numbered sensors."""
     return lambda distance, status: (distance[order], status[order])
 
 
 def blind(*sensors):
-    """A device some of whose sensors see nothing."""
+    """A device with some sensors that see nothing."""
 
     def change(distance, status):
         status = status.copy()
@@ -144,7 +144,7 @@ def blind(*sensors):
 
 
 def tape(sensor, distance):
-    """A device one of whose sensors has something stuck in front of it."""
+    """A device with something stuck in front of one sensor."""
 
     def change(distances, status):
         distances, status = distances.copy(), status.copy()
@@ -369,7 +369,7 @@ class TestNoFault(unittest.TestCase):
         self.assertIsNone(time)
 
     def test_person_does_not_ride(self):
-        """Nor does a short stretch of it come near."""
+        """Nor does a short stretch of it come close."""
         time, state = watch(duration=7.2, human=True, seed=1, start=11.0)
         self.assertIsNone(time)
         self.assertLess(state.ride_travel.max(), 0.8)
@@ -461,7 +461,7 @@ class TestLooks(unittest.TestCase):
 
 
 class Ride:
-    """The watch of a robot that turns, only tool sensor 6 sees something."""
+    """The watch of a turning robot; only tool sensor 6 sees something."""
 
     def __init__(self):
         model, path = make_model_and_path()
@@ -547,7 +547,7 @@ class TestSystems(unittest.TestCase):
 
     def test_hit_that_rides_is_told_until_it_ends(self):
         rig = Ride()
-        # 0.1 rad a look: some 5 cm of the tool's way.
+        # 0.1 rad per look: about 5 cm of the tool's path.
         looks = 0
         while not rig.health().problem[2] and looks < 40:
             rig.look(0.9)
@@ -556,8 +556,7 @@ class TestSystems(unittest.TestCase):
             rig.health().problem,
             ("", "", "tool sensor 6: a hit at 0.90 m rides with the robot"),
         )
-        # A sample that failed does not end it, nor does one that is lost. An
-        # empty room does.
+        # Neither a failed sample nor a lost one ends it. An empty room does.
         for status in (5, 2):
             rig.look(0.0, status=status)
             self.assertNotEqual(rig.health().problem[2], "")

@@ -75,13 +75,13 @@ class TestRides(unittest.TestCase):
         # Where the stretch begins, and how it was reached, does not count.
         self.assertEqual(dut.look(5.0), (0.9, 0.0, 0.0))
         self.assertEqual(dut.look(5.6, 0.929), (0.9, 0.6, 0.0))
-        # To and fro is travel, too.
+        # Back and forth is travel, too.
         self.assertEqual(dut.look(5.2, 0.871), (0.9, 1.0, 0.0))
         self.assertEqual(dut.look(5.21), (0.9, 1.01, 1.0))
         # It lasts while the robot stands.
         self.assertEqual(dut.look(5.21), (0.9, 1.01, 1.0))
 
-    def test_another_distance_begins_anew(self):
+    def test_another_distance_starts_again(self):
         dut = Rides()
         dut.look(0.0)
         self.assertEqual(dut.look(1.1), (0.9, 1.1, 1.0))
@@ -104,7 +104,7 @@ class TestRides(unittest.TestCase):
             dut.look(0.0)
             dut.look(1.1)
             other = {"outcome": outcome, "status": status}
-            # One may be a lost sample; what fits between two counts anew.
+            # One may be a lost sample; after one that fits the count restarts.
             for _ in range(3):
                 self.assertEqual(dut.look(1.1, **other), (0.9, 1.1, 1.0))
                 self.assertEqual(dut.look(1.1), (0.9, 1.1, 1.0))
@@ -195,7 +195,7 @@ class TestExpectation(unittest.TestCase):
 
 class TestOutcome(unittest.TestCase):
     def test_where_the_robot_must_be_seen(self):
-        # At 0.5 to 0.7 m, and at 0.6 m at the farthest.
+        # At 0.5 to 0.7 m, and at most at 0.6 m.
         for distance, status, wanted in (
             (0.50, 0, mut.MATCH),
             (0.471, 0, mut.MATCH),
@@ -257,9 +257,9 @@ class TestStep(unittest.TestCase):
             ([m], [a], [0.0], -2.0),
             ([x], [m], [0.0], 4.0),
             ([q], [x], [0.0], -4.0),
-            # A silent sensor speaks for nothing.
+            # A silent sensor is no evidence.
             ([x], [q], [-INF], 0.0),
-            # A person is alone by both.
+            # A person is ALONE by both.
             ([a], [a], [0.1], 0.0),
             ([a, q], [m, x], [0.0, 0.0], -2.0),
             ([x, x], [m, m], [0.0, 0.0], 4.0),
@@ -304,7 +304,7 @@ class TestCusum(unittest.TestCase):
                 total[0], (look + 1) * math.log(25.0), places=9
             )
         self.assertEqual(alarm.tolist(), [1.0, 0.0])
-        # What is nearer, such as a person, is a sensor that sees.
+        # A nearer hit, such as a person, shows that the sensor sees.
         for _ in range(100):
             mut.step_sensors(
                 total, alarm, np.array([mut.ALONE, mut.QUIET]), must, *args

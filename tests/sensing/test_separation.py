@@ -207,7 +207,7 @@ class TestLinkRow(unittest.TestCase):
         qd = np.array([0.7, 0, 0, 0, 0, 0])
         first = make_masked_scan([0.5, 0.9], [VALID, VALID], qd=qd)
         self.assertAlmostEqual(calc_row(first).k_o[0], 0.7 + 1.6)
-        # The other sensor's sample before does not help.
+        # The other sensor's previous sample does not help.
         other = make_masked_scan(
             [0.5, 0.9], [VALID, VALID], qd=qd, previous=[np.nan, 0.9]
         )
@@ -251,7 +251,7 @@ class TestLinkRow(unittest.TestCase):
         self.assertTrue(np.isnan(dut.direction[0]).all())
         self.assertAlmostEqual(dut.k_l[0], 1.0)
         self.assertAlmostEqual(dut.k_o[0], 2.6)
-        # The oldest of those that it rests on; the faulted one has no say.
+        # The oldest of those that it relies on; the faulted one does not count.
         self.assertEqual(dut.time[0], 1.0)
         self.assertEqual(dut.health[0], RingHealth.HEALTHY)
 
@@ -294,14 +294,14 @@ class TestLinkRow(unittest.TestCase):
         self.assertEqual(dut.sensor[0], 1)
         self.assertAlmostEqual(dut.distance[0], RADIUS + 0.9 - 3.3 * 0.115)
         self.assertAlmostEqual(dut.k_o[0], 3.0)
-        # No younger than what else the ring rests on.
+        # No younger than the ring's other samples.
         self.assertEqual(dut.time[0], 1.0)
-        # One that went away counts as a person nobody watches.
+        # An obstacle that moved away counts as an unmonitored person.
         dut = calc_row(
             dc.replace(masked_scan, previous_distance=np.array([0.1] * 3))
         )
         self.assertAlmostEqual(dut.k_o[0], 1.6)
-        # Nearer than 0 it does not come.
+        # It never falls below 0.
         dut = calc_row(
             dc.replace(masked_scan, scan=dc.replace(masked_scan.scan, time=9.0))
         )
@@ -386,7 +386,7 @@ class TestLinkRow(unittest.TestCase):
         v_person=st.floats(-1.6, 1.6),
     )
     def test_measured_speed_is_the_projected_one(self, d, v_link, v_person):
-        """Head-on, Eq. 9 with its sign mended equals Eq. 4."""
+        """Head-on, Eq. 9 with the corrected sign equals Eq. 4."""
         dt = 0.024
         expected_k_l, expected_k_o = np.clip(
             calc_directed_speeds(

@@ -149,7 +149,7 @@ class TestMeasure(unittest.TestCase):
             self.assertAlmostEqual(
                 (status[lost] == kind).mean(), share, delta=0.01
             )
-        # The millimetres then say nothing about the target.
+        # The millimetres are then independent of the target.
         self.assertLess(distance[lost].min(), 0.05)
         self.assertGreater(distance[lost].max(), 3.95)
         self.assertLess(abs(np.median(distance[lost]) - 2.0), 0.1)

@@ -39,7 +39,7 @@ class TestSsmConfig(unittest.TestCase):
         )
 
     def test_rejects(self):
-        """Checks that each mistake is told in one line with its place."""
+        """Checks that each mistake is reported in one line with its place."""
         for change, said in (
             (
                 {"configuration": "Vo"},

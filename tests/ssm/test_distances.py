@@ -175,7 +175,7 @@ class TestDistances(unittest.TestCase):
 
     @given(configurations, directed, speeds, states)
     def test_order(self, configuration, k, link_speed, psi):
-        """C_dC <= d_C <= d_R whatever happens."""
+        """C_dC <= d_C <= d_R for any input."""
         config = SsmConfig(configuration=configuration)
         d_C, d_R = calc(config, k, link_speed, psi)
         self.assertGreaterEqual(d_C, config.C_dC)

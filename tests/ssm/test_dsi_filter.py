@@ -108,7 +108,7 @@ class TestFilterIndex(unittest.TestCase):
         st.floats(0, 1),
     )
     def test_falling_is_never_below_the_sample(self, dsi, ulps, alpha_I):
-        """Also where only the last digits differ."""
+        """Also if only the last digits differ."""
         previous = dsi
         for _ in range(ulps):
             previous = np.nextafter(previous, np.inf)
@@ -353,7 +353,7 @@ class TestDsiFilter(unittest.TestCase):
         index = self.eval()
         self.update()
         self.assertIs(self.eval(), index)
-        # The robot state alone is news only for the next sample.
+        # The robot state alone matters only for the next sample.
         self.fix(robot_state=1)
         self.update()
         self.assertIs(self.eval(), index)
@@ -365,7 +365,7 @@ class TestDsiFilter(unittest.TestCase):
         np.testing.assert_allclose(after.d_R, 1.165)
 
     def test_changed_sample_is_calculated_again(self):
-        """Also where it has the number of the one that is stored."""
+        """Also if it has the number of the stored one."""
         separation = make_separation(distance=0.6)
         for change in (
             {"health": np.full(3, RingHealth.FAULTED)},
@@ -406,7 +406,7 @@ class TestDsiFilter(unittest.TestCase):
         self.check_is_calculated(separation)
 
     def check_is_calculated(self, separation):
-        """Compares the output with what a new filter would make of it."""
+        """Compares the output with that of a new filter."""
         expected = mut.calc_safety_index(
             constants=make_distance_constants(SsmConfig()),
             state=self.context.get_discrete_state_vector().value(),

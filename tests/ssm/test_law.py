@@ -21,7 +21,7 @@ FAR, NEAR, CLOSE = 2.9, 1.1, 0.5
 
 
 def make_separation(*, tick, distance, health=RingHealth.HEALTHY, k=0.0):
-    """Returns what three rings at a third of the tick rate would give."""
+    """Returns the output of three rings at a third of the tick rate."""
     return Separation(
         sequence=(tick - np.arange(3)) // 3,
         time=np.full(3, PERIOD * tick - 0.011),
@@ -73,7 +73,7 @@ class Law:
         return self.diagram.GetOutputPort(name).Eval(self.context)
 
     def is_sampled(self):
-        """Tells whether the elbow ring has a new sample at this tick."""
+        """Returns whether the elbow ring has a new sample at this tick."""
         return (self.tick - 1) % 3 == 0
 
     def step(self, separation=None, **kwargs):

@@ -44,7 +44,7 @@ class TestFindSensingProblem(unittest.TestCase):
         self.assertEqual(find(), "")
         blind = np.array([RingHealth.BLIND] * 3)
         self.assertEqual(find(health=blind), "")
-        # Whoever is near is no problem of the sensing.
+        # A person who is near is not a problem of the sensing.
         self.assertEqual(find(dsi=np.full(3, 9.0)), "")
 
     def test_names_what_is_wrong(self):

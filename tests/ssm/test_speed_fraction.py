@@ -79,7 +79,7 @@ class TestCalcNextSpeedFraction(unittest.TestCase):
         )
 
     def test_other_control_ticks(self):
-        """Whatever the tick, the same ramp is stepped along."""
+        """Any tick steps along the same ramp."""
         for period in (0.001, 0.002, 0.016):
             ticks = round(0.4 / period)
             rho = run([0] * (ticks + 1), rho=1.0, period=period)[:, 0]
@@ -89,7 +89,7 @@ class TestCalcNextSpeedFraction(unittest.TestCase):
                 PERIOD * np.arange(51),
                 run([0] * 50, rho=1.0)[:, 0],
             )
-            # Within what linear interpolation misses of the 8 ms ramp.
+            # Within the error of linear interpolation of the 8 ms ramp.
             np.testing.assert_allclose(
                 rho[:-1],
                 expected,

@@ -64,7 +64,7 @@ class TestClassifyIndex(unittest.TestCase):
                 )
 
     def test_order_of_the_tests(self):
-        """Where d_R < d_C only the paper's order calls it normal."""
+        """If d_R < d_C only the paper's order calls it normal."""
         self.assertEqual(mut.classify_index(0.5, 0.416233, 1.108033, False), 0)
         self.assertEqual(mut.classify_index(0.5, 0.416233, 1.108033, True), 2)
 

@@ -351,8 +351,8 @@ def _measure_sensors(old, new, period, window):
     new samples; lost frames do not count. A sensor that was just started takes
     time to its first sample, and is counted only after half a window.
     """
-    fresh, idle, last_problem, told_ms = new.samples - old.samples
+    fresh, idle, known, known_ms = new.samples - old.samples
     answered = period * (fresh + idle)
     counted = answered / np.maximum(fresh, 1)
     counted[(fresh == 0) | (answered < 0.5 * window)] = 0.0
-    return np.maximum(counted, 1e-3 * told_ms / np.maximum(last_problem, 1))
+    return np.maximum(counted, 1e-3 * known_ms / np.maximum(known, 1))

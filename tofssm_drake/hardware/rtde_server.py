@@ -528,84 +528,116 @@ class RtdeServer:
         return f"could not understand: '{line}'"
 
     def _simulate(self, what="", value=""):
-        faults, robot = self.faults, self.robot
-
-        def switch():
-            return {"on": True, "off": False}[value]
-
-        def number():
-            number = float(value)
-            if not math.isfinite(number):
-                raise ValueError(value)
-            return number
-
-        def number_within(low, high):
-            if not low <= number() <= high:
-                raise ValueError(value)
-            return number()
-
-        def offset_joint():
-            joint, offset = value.split()
-            if not 1 <= int(joint) <= 6 or not math.isfinite(float(offset)):
-                raise ValueError(value)
-            robot.joint_offset[int(joint) - 1] = float(offset)
-
-        def offset_tool():
-            offset = [float(v) for v in value.split()]
-            if len(offset) != 3 or not math.isfinite(sum(offset)):
-                raise ValueError(value)
-            robot.tcp_offset[:3] = offset
-
-        def count():
-            count = int(value)
-            if count < 0:
-                raise ValueError(value)
-            return count
-
-        actions = {
-            "slider": lambda: robot.move_slider(number()),
-            "slider-frozen": lambda: setattr(robot, "slider_frozen", switch()),
-            "arm-ignores-slider": lambda: setattr(
-                robot, "ignores_slider", switch()
-            ),
-            "arm-slow": lambda: setattr(
-                robot, "slowest_fraction", number_within(0.0, 1.0)
-            ),
-            "joint-offset": offset_joint,
-            "joints-late": lambda: setattr(
-                robot, "joints_late", number_within(0.0, 1.0)
-            ),
-            "tcp-offset": offset_tool,
-            "clock-rate": lambda: setattr(
-                robot, "clock_rate", number_within(0.1, 10.0)
-            ),
-            "safety": lambda: robot.set_safety_mode(SafetyMode(int(value))),
-            "stall": lambda: setattr(
-                faults, "stalled_until", time.monotonic() + number()
-            ),
-            "skip": lambda: setattr(faults, "skip_next", count()),
-            "skip-every": lambda: setattr(faults, "skip_every", count()),
-            "duplicate": lambda: setattr(faults, "duplicate", switch()),
-            "fragment": lambda: setattr(faults, "fragment", count()),
-            "coalesce": lambda: setattr(faults, "coalesce", count()),
-            "text": lambda: setattr(faults, "text_messages", switch()),
-            "drop": self.drop_clients,
-            "restart": self._restart,
-            "clock": lambda: robot.shift_clock(number()),
-            "claim": lambda: self.claim(value.split(",")),
-            "release": self.release,
-        }
-        if what not in actions:
-            return f"could not understand: 'simulate {what}'"
+        """Executes what only a simulated robot understands."""
         try:
-            actions[what]()
+            if what in _ROBOT_FAULTS:
+                name, parse = _ROBOT_FAULTS[what]
+                setattr(self.robot, name, parse(value))
+            elif what in _STREAM_FAULTS:
+                name, parse = _STREAM_FAULTS[what]
+                setattr(self.faults, name, parse(value))
+            elif not self._act(what, value):
+                return f"could not understand: 'simulate {what}'"
         except (KeyError, ValueError, OverflowError):
             return f"could not understand: 'simulate {what} {value}'"
         return f"simulating {what} {value}".strip()
 
-    def _restart(self):
-        self.drop_clients()
-        self.robot.restart_clock()
+    def _act(self, what, value):
+        """Simulates an event; returns whether there is such an event."""
+        robot = self.robot
+        match what:
+            case "slider":
+                robot.move_slider(_parse_number(value))
+            case "joint-offset":
+                joint, offset = _parse_joint_offset(value)
+                robot.joint_offset[joint] = offset
+            case "tcp-offset":
+                robot.tcp_offset[:3] = _parse_position(value)
+            case "safety":
+                robot.set_safety_mode(SafetyMode(int(value)))
+            case "stall":
+                end = time.monotonic() + _parse_number(value)
+                self.faults.stalled_until = end
+            case "clock":
+                robot.shift_clock(_parse_number(value))
+            case "claim":
+                self.claim(value.split(","))
+            case "release":
+                self.release()
+            case "drop":
+                self.drop_clients()
+            case "restart":
+                self.drop_clients()
+                robot.restart_clock()
+            case _:
+                return False
+        return True
+
+
+def _parse_switch(value):
+    return {"on": True, "off": False}[value]
+
+
+def _parse_number(value):
+    number = float(value)
+    if not math.isfinite(number):
+        raise ValueError(value)
+    return number
+
+
+def _parse_fraction(value):
+    return _parse_within(value, 0.0, 1.0)
+
+
+def _parse_clock_rate(value):
+    return _parse_within(value, 0.1, 10.0)
+
+
+def _parse_within(value, low, high):
+    number = _parse_number(value)
+    if not low <= number <= high:
+        raise ValueError(value)
+    return number
+
+
+def _parse_count(value):
+    count = int(value)
+    if count < 0:
+        raise ValueError(value)
+    return count
+
+
+def _parse_joint_offset(value):
+    """Returns a joint's index and its offset, rad."""
+    joint, offset = value.split()
+    if not 1 <= int(joint) <= 6:
+        raise ValueError(value)
+    return int(joint) - 1, _parse_number(offset)
+
+
+def _parse_position(value):
+    position = [_parse_number(v) for v in value.split()]
+    if len(position) != 3:
+        raise ValueError(value)
+    return position
+
+
+# Attribute of the robot, and of `Faults`, by the dashboard's word for it.
+_ROBOT_FAULTS = {
+    "slider-frozen": ("slider_frozen", _parse_switch),
+    "arm-ignores-slider": ("ignores_slider", _parse_switch),
+    "arm-slow": ("slowest_fraction", _parse_fraction),
+    "joints-late": ("joints_late", _parse_fraction),
+    "clock-rate": ("clock_rate", _parse_clock_rate),
+}
+_STREAM_FAULTS = {
+    "skip": ("skip_next", _parse_count),
+    "skip-every": ("skip_every", _parse_count),
+    "duplicate": ("duplicate", _parse_switch),
+    "fragment": ("fragment", _parse_count),
+    "coalesce": ("coalesce", _parse_count),
+    "text": ("text_messages", _parse_switch),
+}
 
 
 def calc_divider(rate: float, frequency: float) -> int:

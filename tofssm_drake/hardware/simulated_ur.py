@@ -161,20 +161,13 @@ class SimulatedUr:
         self._kinematics = kinematics
         self.rate, self.version = _SERIES[config.series]
         """Control cycles per second; major, minor, bugfix, build."""
-        self.output_types = {
-            name: kind
-            for name, kind in (OUTPUT_TYPES | ECHOED_TYPES).items()
-            if name not in _TOO_NEW
-            and (config.series == "e" or name not in _E_SERIES_ONLY)
-        }
+        self.output_types = _list_output_types(config.series)
         self.input_types = dict(INPUT_TYPES)
         self.inputs = {
             name: (0.0,) * 6 if kind == "VECTOR6D" else 0
             for name, kind in INPUT_TYPES.items()
         }
-        self.outputs = {
-            name: _make_zero(kind) for name, kind in self.output_types.items()
-        }
+        self.outputs = _make_outputs(self.output_types)
         self.cycle = 0
         """Number of control cycles; not the controller's clock."""
         self.timestamp = config.initial_timestamp
@@ -210,15 +203,6 @@ class SimulatedUr:
         """Speed along the path, of nominal: follows slider and pauses."""
         self._beat = None
         self._beat_cycle = 0
-        self.outputs |= {
-            "joint_temperatures": (30.0,) * 6,
-            "joint_mode": (253,) * 6,
-            "actual_main_voltage": 48.0,
-            "actual_robot_voltage": 48.0,
-            "actual_joint_voltage": (48.0,) * 6,
-            "robot_mode": int(RobotMode.RUNNING),
-            "speed_scaling": 1.0,
-        }
         if config.start == "now":
             self.play()
         self._write_outputs(np.zeros(6))
@@ -498,6 +482,29 @@ def _calc_pose_vector(R, p):
     """Returns a pose as UR writes it: x, y, z, rotation vector, (6,)."""
     angle_axis = RotationMatrix(R).ToAngleAxis()
     return np.concatenate([p, angle_axis.angle() * angle_axis.axis()])
+
+
+def _list_output_types(series):
+    """Returns the types of the outputs of a controller, by name."""
+    return {
+        name: kind
+        for name, kind in (OUTPUT_TYPES | ECHOED_TYPES).items()
+        if name not in _TOO_NEW
+        and (series == "e" or name not in _E_SERIES_ONLY)
+    }
+
+
+def _make_outputs(types):
+    """Returns outputs of these types, before the first control cycle."""
+    return {name: _make_zero(kind) for name, kind in types.items()} | {
+        "joint_temperatures": (30.0,) * 6,
+        "joint_mode": (253,) * 6,
+        "actual_main_voltage": 48.0,
+        "actual_robot_voltage": 48.0,
+        "actual_joint_voltage": (48.0,) * 6,
+        "robot_mode": int(RobotMode.RUNNING),
+        "speed_scaling": 1.0,
+    }
 
 
 def _make_zero(kind):

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 import dataclasses as dc
 import functools
 import math
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from pydrake.common.value import Value
@@ -622,81 +622,91 @@ def mask_scans(
     """
     num_sensors = bundles.num_bundles
     n = num_sensors // len(scans)
-    samples = _make_no_samples(num_sensors).copy()
-    verdict = np.zeros((_VERDICT_ROWS, num_sensors), dtype=np.int64)
+    tables = _Tables(
+        samples=_make_no_samples(num_sensors).copy(),
+        verdict=np.zeros((_VERDICT_ROWS, num_sensors), dtype=np.int64),
+        motion=np.empty((2, num_sensors, 6)),
+        sensors_per_ring=n,
+    )
     newest = [
-        None
-        if scan is None
-        else _load_scan(samples, verdict, n * i, n, scan, was)
+        None if scan is None else _load_scan(tables, n * i, scan, was)
         for i, (scan, was) in enumerate(zip(scans, before, strict=True))
     ]
-    motion = np.empty((2, num_sensors, 6))
-    _compare_with_twin(
-        config,
-        samples=samples,
-        verdict=verdict,
-        motion=motion,
-        sensors_per_ring=n,
-        time=time,
-        table=table,
-        caster=caster,
-        bundles=bundles,
-        twin=twin,
-    )
+    view = _View(table, caster, twin)
+    _compare_with_twin(config, tables, view, bundles, time)
     is_proven = np.ones(num_sensors, dtype=bool)
     if config.enabled and proof_bundles is not None:
-        is_proven = _find_proven(
-            samples=samples,
-            verdict=verdict,
-            sensors_per_ring=n,
-            table=table,
-            caster=caster,
-            bundles=proof_bundles,
-            twin=twin,
-            least=config.min_range,
-        )
-    memory = config.memory
+        is_proven = _find_proven(tables, view, proof_bundles, config.min_range)
     _remember(
-        samples,
-        verdict,
+        tables.samples,
+        tables.verdict,
         is_proven,
         time,
         table[-1],
         np.zeros(num_sensors, dtype=bool) if is_dead is None else is_dead,
-        np.array(dc.astuple(memory)),
-        motion,
+        np.array(dc.astuple(config.memory)),
+        tables.motion,
     )
     # The messages are views of these.
-    for array in (samples, motion, verdict):
+    for array in (tables.samples, tables.verdict, tables.motion):
         array.setflags(write=False)
     return tuple(
         was
         if raw is None
-        else _make_masked_scan(
-            raw, samples, verdict, motion, slice(n * i, n * i + n)
-        )
+        else _make_masked_scan(tables, raw, slice(n * i, n * i + n))
         for i, (raw, was) in enumerate(zip(newest, before, strict=True))
     )
 
 
-def _compare_with_twin(
-    config,
-    *,
-    samples,
-    verdict,
-    motion,
-    sensors_per_ring,
-    time,
-    table,
-    caster,
-    bundles,
-    twin,
-):
+class _Tables(NamedTuple):
+    """What is known of all N sensors of the rings."""
+
+    samples: np.ndarray
+    """See `_make_no_samples`, (15, N)."""
+    verdict: np.ndarray
+    """Readings, faults, numbers of samples in a row, (4, N)."""
+    motion: np.ndarray
+    """Joints, rad, and their speeds, rad/s, at the samples, (2, N, 6)."""
+    sensors_per_ring: int
+
+
+class _View(NamedTuple):
+    """The twin, posed as the robot was at the samples' times."""
+
+    table: np.ndarray
+    """The robot's reports, see `make_robot_history`."""
+    caster: RayCaster
+    twin: Twin
+
+    def cast(self, bundles, samples, shift, rest, which):
+        """Casts the rays of sensors that sampled at the same time.
+
+        Args:
+            bundles: the rays of all sensors.
+            samples: the table, (15, N).
+            shift: see `_begin_look`; as the next two.
+            rest: changed.
+            which: changed.
+
+        Returns:
+            Self-hits, m, (N, k), and whether any sensors are left.
+        """
+        report = np.empty(_COLUMNS)
+        more = _begin_look(samples, self.table, shift, rest, which, report)
+        X_WF = self.twin.calc(
+            report[_POSITION],
+            report[_GRIPPER_CLOSED],
+            report[_PRODUCTS_PLACED],
+        )
+        self_distance, _ = self.caster.cast_bundles(bundles, X_WF, which)
+        return self_distance, more
+
+
+def _compare_with_twin(config, tables, view, bundles, time):
     """Fills in what each sample alone means, and the robot's motion."""
-    num_sensors = bundles.num_bundles
-    unsettled = np.empty(num_sensors, dtype=bool)
-    which = np.empty(num_sensors, dtype=bool)
-    report = np.empty(_COLUMNS)
+    samples, verdict, motion, n = tables
+    unsettled = np.empty(samples.shape[1], dtype=bool)
+    which = np.empty(samples.shape[1], dtype=bool)
     limits = (
         config.tolerance,
         config.min_range,
@@ -705,27 +715,16 @@ def _compare_with_twin(
     )
     margin = config.time_margin
     is_unsettled = _begin(
-        samples,
-        table,
-        sensors_per_ring,
-        time,
-        limits,
-        motion,
-        verdict,
-        unsettled,
+        samples, view.table, n, time, limits, motion, verdict, unsettled
     )
     if not config.enabled:
         return
     for shift in (0.0, -margin, margin) if margin > 0.0 else (0.0,):
         more = is_unsettled
         while more:
-            more = _begin_look(samples, table, shift, unsettled, which, report)
-            X_WF = twin.calc(
-                report[_POSITION],
-                report[_GRIPPER_CLOSED],
-                report[_PRODUCTS_PLACED],
+            self_distance, more = view.cast(
+                bundles, samples, shift, unsettled, which
             )
-            self_distance, _ = caster.cast_bundles(bundles, X_WF, which)
             is_unsettled = _end_look(
                 samples,
                 which,
@@ -774,34 +773,29 @@ def _count_sure_hits(self_distance, which, least, hits):
                     hits[i] += 1
 
 
-def _find_proven(
-    *, samples, verdict, sensors_per_ring, table, caster, bundles, twin, least
-):
+def _find_proven(tables, view, bundles, least):
     """Returns for each sensor whether its ring sees the robot where it must.
 
     Only rings in which a sensor is about to become clear are looked at; the
     others count as proven.
     """
-    rest = _choose_to_prove(samples, verdict, sensors_per_ring)
+    n = tables.sensors_per_ring
+    rest = _choose_to_prove(tables.samples, tables.verdict, n)
     hits = np.zeros(len(rest), dtype=int)
     which = np.empty(len(rest), dtype=bool)
-    report = np.empty(_COLUMNS)
     more = bool(rest.any())
     while more:
-        more = _begin_look(samples, table, 0.0, rest, which, report)
-        X_WF = twin.calc(
-            report[_POSITION],
-            report[_GRIPPER_CLOSED],
-            report[_PRODUCTS_PLACED],
+        self_distance, more = view.cast(
+            bundles, tables.samples, 0.0, rest, which
         )
-        self_distance, _ = caster.cast_bundles(bundles, X_WF, which)
         _count_sure_hits(self_distance, which, least, hits)
-    misses = (hits >= 2).reshape(-1, sensors_per_ring).any(axis=1)
-    return np.repeat(~misses, sensors_per_ring)
+    misses = (hits >= 2).reshape(-1, n).any(axis=1)
+    return np.repeat(~misses, n)
 
 
-def _load_scan(samples, verdict, first, n, scan, before):
+def _load_scan(tables, first, scan, before):
     """Writes a scan into the tables; returns it with all newest samples."""
+    n = tables.sensors_per_ring
     if scan.status.shape != (n,):
         raise ValueError(
             f"scan of {len(scan.status)} sensors, but the mask has {n}"
@@ -810,12 +804,14 @@ def _load_scan(samples, verdict, first, n, scan, before):
         before = _make_nothing_before(n)
     raw = _fill_in(scan, before.raw)
     new = np.array([raw.sensor_time, raw.distance, raw.status])
-    _load_ring(samples, verdict, first, new, _stack_before(before))
+    _load_ring(
+        tables.samples, tables.verdict, first, new, _stack_before(before)
+    )
     return raw
 
 
 def _fill_in(scan, before):
-    """Returns a scan with the sample before in place of "no new data".
+    """Returns a scan with the previous sample in place of "no new data".
 
     A ring may fire its sensors in turns, or a sensor may take longer: its last
     sample then stands, with its own time, until it is too old.
@@ -866,8 +862,9 @@ def _make_nothing_before(n):
     )
 
 
-def _make_masked_scan(raw, samples, verdict, motion, sensors):
-    """Returns the message for a ring whose newest samples are `raw`."""
+def _make_masked_scan(tables, raw, sensors):
+    """Makes the message of a ring whose newest samples are `raw`."""
+    samples, verdict, motion, _ = tables
     distance = samples[_COUNTED, sensors]
     reading = verdict[_READING, sensors].astype(np.uint8)
     fault = verdict[_FAULT, sensors].astype(np.uint8)

@@ -100,6 +100,20 @@ def make_ring_bundles(
     )
 
 
+def _count_sensors(num_sensors, errors, num_rings):
+    """Returns the number of sensors of each ring.
+
+    Raises:
+        ValueError: if errors or number of sensors do not suit the rings.
+    """
+    n, rest = divmod(num_sensors, num_rings)
+    if n == 0 or rest:
+        raise ValueError(f"bundles: {num_sensors} for {num_rings} rings")
+    if not errors.bias.shape == errors.gain.shape == (num_sensors,):
+        raise ValueError(f"errors: not those of {num_sensors} sensors")
+    return n
+
+
 @dc.dataclass(frozen=True, eq=False)
 class _Queue:
     """Pending scans, oldest first, and their total number: cheap to copy."""
@@ -179,15 +193,11 @@ class TofRings(LeafSystem):
             f"rings.phase: {phase} is out of range; use 0 or more",
         )
         num_sensors = bundles.num_bundles
-        n, rest = divmod(num_sensors, len(name))
-        if n == 0 or rest:
-            raise ValueError(f"bundles: {num_sensors} for {len(name)} rings")
-        if noise_scans < 1:
-            raise ValueError(f"noise_scans: {noise_scans} is not 1 or more")
         if errors is None:
             errors = make_perfect_sensor_errors(num_sensors)
-        if not errors.bias.shape == errors.gain.shape == (num_sensors,):
-            raise ValueError(f"errors: not those of {num_sensors} sensors")
+        n = _count_sensors(num_sensors, errors, len(name))
+        if noise_scans < 1:
+            raise ValueError(f"noise_scans: {noise_scans} is not 1 or more")
         self._caster = caster
         self._bundles = bundles
         self._errors = errors

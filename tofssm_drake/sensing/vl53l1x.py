@@ -204,7 +204,7 @@ def make_perfect_sensor_errors(sensors: int) -> SensorErrors:
     return SensorErrors(bias=np.zeros(sensors), gain=np.ones(sensors))
 
 
-# In the order in which the kernel unpacks them.
+# Settings in the order of the vector, and their indices in it.
 _PACKED = (
     "ideal",
     "usable_range",
@@ -223,6 +223,10 @@ _PACKED = (
     "wrap_range",
     "resolution",
 )
+_IDEAL, _USABLE_RANGE, _RANGE_FALLOFF, _MODE_RANGE, _TIMING_BUDGET = range(5)
+_NOISE_GAIN, _NOISE_FLOOR, _SPREAD_GAIN, _SIGMA_LIMIT = range(5, 9)
+_MIN_RANGE, _MIN_RANGE_ERROR, _MIN_RANGE_CLIPPED, _DROPOUT = range(9, 13)
+_WRAP_PROBABILITY, _WRAP_RANGE, _RESOLUTION, _IS_MEAN = range(13, 17)
 
 
 def pack_config(config: TofSensorConfig) -> np.ndarray:
@@ -339,90 +343,88 @@ def _pick_dropout(u):
 
 
 @njit(cache=True)
-def _calc_detection_probability(d, usable_range, range_falloff, mode_range):
-    if d > max(usable_range, mode_range):
+def _calc_detection_probability(p, d):
+    if d > max(p[_USABLE_RANGE], p[_MODE_RANGE]):
         return 0.0
-    if range_falloff == 0.0:
-        return 1.0 if d <= usable_range else 0.0
-    x = (d - usable_range) / (range_falloff * usable_range)
+    if p[_RANGE_FALLOFF] == 0.0:
+        return 1.0 if d <= p[_USABLE_RANGE] else 0.0
+    x = (d - p[_USABLE_RANGE]) / (p[_RANGE_FALLOFF] * p[_USABLE_RANGE])
     return 1.0 / (1.0 + math.exp(x))
 
 
 @njit(cache=True)
-def measure_packed(
-    parameters, ray_distance, noise, bias, gain, distance, status
-):
-    """Does what `measure` does, with settings from `pack_config`.
+def _calc_sigma(p, d, spread):
+    """Returns the standard deviation of a distance, m."""
+    if not d < np.inf:
+        return 0.0
+    sigma = math.sqrt(0.033 / p[_TIMING_BUDGET]) * _interpolate_sigma(d)
+    sigma = math.hypot(
+        max(sigma, p[_NOISE_FLOOR] * d), p[_SPREAD_GAIN] * spread
+    )
+    return sigma * p[_NOISE_GAIN]
+
+
+@njit(cache=True)
+def _measure_ideally(p, rays):
+    """Returns the nearest distance within range, m, and the status."""
+    d, _ = _calc_target(rays, False)
+    if d <= p[_USABLE_RANGE]:
+        return d, STATUS_VALID
+    return 0.0, STATUS_SIGNAL_FAIL
+
+
+@njit(cache=True)
+def _measure_target(p, d, sigma, draws, bias, gain):
+    """Returns the distance measured with one sensor, m, and the status.
+
+    The distance means nothing unless the status is 0 or 3. `draws` are
+    NOISE_DRAWS numbers, all but the first uniform.
+    """
+    z, u_validity, u_kind, u_arbitrary = draws
+    # One uniform number decides: first on a dropout, then on detection.
+    missed = 1.0 - _calc_detection_probability(p, d)
+    if u_validity < p[_DROPOUT]:
+        return 0.0, _pick_dropout(u_kind)
+    if u_validity < p[_DROPOUT] + (1.0 - p[_DROPOUT]) * missed:
+        wraps = u_kind < p[_WRAP_PROBABILITY]
+        limit = max(p[_USABLE_RANGE], p[_MODE_RANGE])
+        if wraps and d < np.inf and d > limit:
+            return d % p[_WRAP_RANGE], STATUS_VALID
+        return 0.0, _pick_no_return(u_kind)
+    if d < p[_MIN_RANGE] and p[_MIN_RANGE_ERROR] > 0.0:
+        error = p[_MIN_RANGE_ERROR] * (2.0 * u_arbitrary - 1.0)
+        if u_kind < p[_MIN_RANGE_CLIPPED]:
+            return d + error, STATUS_MIN_RANGE_CLIPPED
+        return d + error, STATUS_VALID
+    if p[_SIGMA_LIMIT] > 0.0 and sigma > p[_SIGMA_LIMIT]:
+        return 0.0, STATUS_SIGMA_FAIL
+    return gain * d + bias + sigma * z, STATUS_VALID
+
+
+@njit(cache=True)
+def measure_packed(p, ray_distance, noise, bias, gain, distance, status):
+    """Does what `measure` does, with settings `p` from `pack_config`.
 
     It writes `distance` and `status`; returning them would cost more.
     """
-    ideal = parameters[0] != 0.0
-    usable_range = parameters[1]
-    range_falloff = parameters[2]
-    mode_range = parameters[3]
-    timing_budget = parameters[4]
-    noise_gain = parameters[5]
-    noise_floor = parameters[6]
-    spread_gain = parameters[7]
-    sigma_limit = parameters[8]
-    min_range = parameters[9]
-    min_range_error = parameters[10]
-    min_range_clipped = parameters[11]
-    dropout = parameters[12]
-    wrap_probability = parameters[13]
-    wrap_range = parameters[14]
-    resolution = parameters[15]
-    is_mean = parameters[16] != 0.0
-
     for i in range(ray_distance.shape[0]):
-        distance[i] = 0.0
-        status[i] = STATUS_VALID
-        if ideal:
-            d, _ = _calc_target(ray_distance[i], False)
-            if d <= usable_range:
-                distance[i] = d
-            else:
-                status[i] = STATUS_SIGNAL_FAIL
+        if p[_IDEAL] != 0.0:
+            distance[i], status[i] = _measure_ideally(p, ray_distance[i])
             continue
-
-        d, spread = _calc_target(ray_distance[i], is_mean)
-        u_validity = _calc_uniform(noise[i, 1])
-        u_kind = _calc_uniform(noise[i, 2])
+        d, spread = _calc_target(ray_distance[i], p[_IS_MEAN] != 0.0)
         u_arbitrary = _calc_uniform(noise[i, 3])
-
-        sigma = 0.0
-        if d < np.inf:
-            sigma = math.sqrt(0.033 / timing_budget) * _interpolate_sigma(d)
-            sigma = math.hypot(
-                max(sigma, noise_floor * d), spread_gain * spread
-            )
-            sigma *= noise_gain
-
-        # One uniform number decides: first on a dropout, then on detection.
-        p = _calc_detection_probability(
-            d, usable_range, range_falloff, mode_range
+        draws = (
+            noise[i, 0],
+            _calc_uniform(noise[i, 1]),
+            _calc_uniform(noise[i, 2]),
+            u_arbitrary,
         )
-        if u_validity < dropout:
-            status[i] = _pick_dropout(u_kind)
-        elif u_validity < dropout + (1.0 - dropout) * (1.0 - p):
-            wraps = u_kind < wrap_probability
-            if wraps and d < np.inf and d > max(usable_range, mode_range):
-                measured = d % wrap_range
-                status[i] = STATUS_VALID
-            else:
-                status[i] = _pick_no_return(u_kind)
-        elif d < min_range and min_range_error > 0.0:
-            measured = d + min_range_error * (2.0 * u_arbitrary - 1.0)
-            if u_kind < min_range_clipped:
-                status[i] = STATUS_MIN_RANGE_CLIPPED
-        elif sigma_limit > 0.0 and sigma > sigma_limit:
-            status[i] = STATUS_SIGMA_FAIL
-        else:
-            measured = gain[i] * d + bias[i] + sigma * noise[i, 0]
-
+        measured, status[i] = _measure_target(
+            p, d, _calc_sigma(p, d, spread), draws, bias[i], gain[i]
+        )
         if status[i] not in (STATUS_VALID, STATUS_MIN_RANGE_CLIPPED):
             # As on the device: an arbitrary number.
             measured = 4.0 * u_arbitrary
-        if resolution > 0.0:
-            measured = resolution * np.round(measured / resolution)
+        if p[_RESOLUTION] > 0.0:
+            measured = p[_RESOLUTION] * np.round(measured / p[_RESOLUTION])
         distance[i] = min(max(measured, 0.0), SATURATED)
