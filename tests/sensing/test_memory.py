@@ -265,6 +265,9 @@ class TestOtherObstacles(unittest.TestCase):
 
     def test_a_sensor_that_failed_lately_is_not_believed(self):
         self.assertEqual(self.find(1.3, has_lag=True), (True, 0))
+        # However long ago the obstacle was seen.
+        self.assertEqual(self.find(1.3, 5.0, has_lag=True), (True, 0))
+        self.assertEqual(self.find(1.3, 5.0), (False, 0))
 
 
 if __name__ == "__main__":

@@ -432,9 +432,16 @@ def mask_in_full(config, *, scan, before, time, table, cell, ring):
         sensor_time[held] = -np.inf
         distance[held] = np.nan
     else:
-        sensor_time[held] = before.scan.sensor_time[held]
-        distance[held] = before.scan.distance[held]
-        status[held] = before.scan.status[held]
+        sensor_time[held] = before.raw.sensor_time[held]
+        distance[held] = before.raw.distance[held]
+        status[held] = before.raw.status[held]
+    raw = RingScan(
+        sequence=scan.sequence,
+        time=scan.time,
+        sensor_time=sensor_time.copy(),
+        distance=distance.copy(),
+        status=status.copy(),
+    )
     reports = np.zeros((n, 15))
     looks = []
     for shift in (0.0, -config.time_margin, config.time_margin):
@@ -470,7 +477,7 @@ def mask_in_full(config, *, scan, before, time, table, cell, ring):
     reading, fault, counted, nearest, farthest = classify(
         looks if moves else looks[:1]
     )
-    same = not nobody and sensor_time == before.scan.sensor_time
+    same = not nobody and sensor_time == before.raw.sensor_time
     if nobody:
         previous_distance = np.full(n, np.nan)
         previous_time = np.full(n, -np.inf)
@@ -483,7 +490,18 @@ def mask_in_full(config, *, scan, before, time, table, cell, ring):
         previous_time = np.where(
             same, before.previous_time, before.scan.sensor_time
         )
-    sample_time = sensor_time.copy()
+        for i in range(n):
+            # The same number again: the speed is still the last one.
+            if (
+                not same[i]
+                and before.reading[i] == VALID
+                and distance[i] == before.raw.distance[i]
+                and before.previous_distance[i] > distance[i]
+            ):
+                previous_distance[i] = before.previous_distance[i]
+                previous_time[i] = sensor_time[i] - (
+                    before.scan.sensor_time[i] - before.previous_time[i]
+                )
     result = MaskedScan(
         scan=RingScan(
             sequence=scan.sequence,
@@ -492,11 +510,13 @@ def mask_in_full(config, *, scan, before, time, table, cell, ring):
             distance=counted,
             status=status,
         ),
+        raw=raw,
         reading=reading,
         fault=fault,
         healthy_time=np.full(n, -np.inf),
         no_returns=np.zeros(n, dtype=int),
         unmeasured=np.zeros(n, dtype=int),
+        others=np.zeros(n, dtype=int),
         self_nearest=nearest,
         self_farthest=farthest,
         previous_distance=previous_distance,
@@ -504,8 +524,13 @@ def mask_in_full(config, *, scan, before, time, table, cell, ring):
         position=reports[:, 1:7],
         velocity=reports[:, 7:13],
     )
+    # Only where a sensor is about to become clear must the ring prove itself.
     is_proven = True
-    for i in np.flatnonzero(reading == CLEAR):
+    must_prove = (
+        not nobody
+        and ((reading == CLEAR) & np.isin(before.reading, (VALID, HELD))).any()
+    )
+    for i in np.flatnonzero((reading == CLEAR) & must_prove):
         report = mut.interpolate_reports(table, sensor_time[i])
         X_WF = cell["twin"].calc(report[1:7], report[13], report[14])
         rays, _ = cell["caster"].cast_bundles(cell["proof_bundles"], X_WF)
@@ -519,48 +544,77 @@ def mask_in_full(config, *, scan, before, time, table, cell, ring):
             None if nobody else before,
             i,
             is_proven=is_proven or not config.enabled,
-            is_new=nobody
-            or (
-                sample_time[i] > before.healthy_time[i]
-                and sample_time[i] != before.scan.sensor_time[i]
-            ),
             now=time,
             report=table[-1],
         )
     return result
 
 
-def remember_in_full(
-    config, result, before, i, *, is_proven, is_new, now, report
-):
+def remember_in_full(config, result, before, i, *, is_proven, now, report):
     """Writes what is remembered of sensor i, the straightforward way."""
-    arrays = {**vars(result.scan), **vars(result)}
-    for array in arrays.values():
-        if isinstance(array, np.ndarray):
-            array.setflags(write=True)
-    is_good = result.fault[i] == SensorFault.NONE
-    is_clear = is_good and result.reading[i] == CLEAR
-    is_sigma = result.fault[i] == SensorFault.SIGMA
+    for message in (result, result.scan):
+        for array in vars(message).values():
+            if isinstance(array, np.ndarray):
+                array.setflags(write=True)
+    memory = config.memory
+    time, distance = result.raw.sensor_time[i], result.raw.distance[i]
+    had_obstacle, is_new, is_changed = False, time != -np.inf, True
     if before is not None:
-        result.healthy_time[i] = before.healthy_time[i]
         had_obstacle = before.reading[i] in (VALID, HELD)
-        if is_clear and (is_proven or not had_obstacle):
-            result.no_returns[i] = before.no_returns[i] + is_new
-        if is_sigma:
-            result.unmeasured[i] = before.unmeasured[i] + is_new
+        is_new = time != before.raw.sensor_time[i]
+        is_changed = is_new and distance != before.raw.distance[i]
+        for name in ("healthy_time", "no_returns", "unmeasured", "others"):
+            getattr(result, name)[i] = getattr(before, name)[i]
+    is_good = result.fault[i] == SensorFault.NONE
+    if is_good and is_new:
+        if result.healthy_time[i] == -np.inf:
+            result.healthy_time[i] = time
+        else:
+            worked = min(max(time - before.raw.sensor_time[i], 0.0), 0.1)
+            lag = (
+                time
+                - result.healthy_time[i]
+                - (1.0 + 1.0 / memory.recovery_ratio) * worked
+            )
+            lag = min(max(lag, 0.0), memory.longest_lag)
+            result.healthy_time[i] = time - lag
+    lag = time - result.healthy_time[i]
+    has_lag = lag > 1e-6
+    is_other = False
+    if result.reading[i] == VALID:
+        if had_obstacle:
+            away = distance - before.scan.distance[i] - memory.recede_margin
+            elapsed = max(time - before.scan.sensor_time[i], 0.0)
+            is_other = away > memory.recede_speed * elapsed or (
+                away > 0.0 and (has_lag or result.others[i] > 0)
+            )
+        if not is_other or has_lag:
+            result.others[i] = 0
+        elif is_changed:
+            result.others[i] += 1
+    is_clear = is_good and result.reading[i] == CLEAR
+    if not is_clear or not is_proven:
+        result.no_returns[i] = 0
     else:
-        result.no_returns[i] = is_clear
-        result.unmeasured[i] = is_sigma
-    if is_good:
-        result.healthy_time[i] = result.scan.sensor_time[i]
-    must_hold = not is_good or (is_clear and result.no_returns[i] < 2)
-    if must_hold and before is not None and before.reading[i] in (VALID, HELD):
+        result.no_returns[i] += is_new
+    if result.fault[i] == SensorFault.SIGMA:
+        result.unmeasured[i] += is_new
+    elif not is_clear or result.no_returns[i] >= memory.clear_samples:
+        result.unmeasured[i] = 0
+    is_held = had_obstacle and (
+        not is_good
+        or (is_clear and (has_lag or result.no_returns[i] < 2))
+        or (is_other and result.others[i] < 2)
+    )
+    if is_good and lag > memory.unreliable_lag:
+        result.fault[i] = SensorFault.UNRELIABLE
+    if is_held:
         result.reading[i] = HELD
         result.scan.sensor_time[i] = before.scan.sensor_time[i]
         result.scan.distance[i] = before.scan.distance[i]
         result.previous_distance[i] = before.previous_distance[i]
         result.previous_time[i] = before.previous_time[i]
-    elif result.unmeasured[i] >= 2:
+    elif result.unmeasured[i] >= memory.sigma_samples:
         result.reading[i] = HELD
         result.scan.sensor_time[i] = now
         result.scan.distance[i] = 0.0
@@ -700,6 +754,11 @@ class TestMaskScans(unittest.TestCase):
                 expected,
                 (
                     "reading",
+                    "fault",
+                    "healthy_time",
+                    "no_returns",
+                    "unmeasured",
+                    "others",
                     "previous_distance",
                     "previous_time",
                     "position",

@@ -205,7 +205,8 @@ def find_other_obstacles(
         before: distance, m, and time, s, of the obstacle before, (2, n).
         is_changed: whether the sample is new and its distance is not that of
             the sample before to the last digit, (n,).
-        has_lag: whether the sensor failed lately, (n,): none counts then.
+        has_lag: whether the sensor failed lately, (n,): then none counts, and
+            no obstacle may move away by more than the margin.
         recede: recede_speed, m/s, and recede_margin, m.
         others: how many such samples came in a row, (n,); changed.
 
@@ -220,7 +221,8 @@ def find_other_obstacles(
         away = distance[i] - before[0, i] - recede[1]
         elapsed = max(time[i] - before[1, i], 0.0)
         is_other[i] = had_obstacle[i] and (
-            away > recede[0] * elapsed or (others[i] > 0 and away > 0.0)
+            away > recede[0] * elapsed
+            or (away > 0.0 and (has_lag[i] or others[i] > 0))
         )
         if not is_other[i] or has_lag[i]:
             others[i] = 0
