@@ -797,7 +797,7 @@ class TestReady(unittest.TestCase):
 
     def test_joints(self):
         far = self.q + np.array([0.0, 0.0, 0.0, 0.0, 0.0, 1.5])
-        with self.assertRaisesRegex(UserError, "from where the scenario"):
+        with self.assertRaisesRegex(UserError, "from the path of the scenario"):
             self.require(position=far)
         self.require(position=far, max_deviation=np.inf)
         outside = self.q.copy()
