@@ -154,7 +154,7 @@ class TestRunRecord(unittest.TestCase):
         count = len(list(reader.read_ticks()))
         return count, reader.is_damaged, reader.problem
 
-    def test_tells_whether_it_is_whole(self):
+    def test_reports_whether_it_is_whole(self):
         self.write(50)
         self.assertEqual(self.read_all(), (50, False, ""))
         whole = self.path.read_bytes()
@@ -167,7 +167,7 @@ class TestRunRecord(unittest.TestCase):
                 time_ = 0.008 * (count - 1)
                 self.assertIn(f"after the tick at {time_:.3f} s", problem)
 
-    def test_tells_where_it_is_damaged(self):
+    def test_reports_where_it_is_damaged(self):
         self.write(50)
         whole = self.path.read_bytes()
         middle = whole.index(b'"sequence":25,')
