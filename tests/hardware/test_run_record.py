@@ -231,7 +231,7 @@ class TestRunRecord(unittest.TestCase):
             [b"hello", b"once more"],
         )
 
-    def test_a_full_disk_is_told_by_the_next_tick(self):
+    def test_a_full_disk_is_reported_by_the_next_tick(self):
         with self.assertRaisesRegex(UserError, "--record: /dev/full: cannot"):
             mut.RunRecorder(Path("/dev/full"), {})
         limits = resource.getrlimit(resource.RLIMIT_FSIZE)
@@ -296,7 +296,7 @@ class TestRunRecord(unittest.TestCase):
         with self.assertRaises(jsonschema.ValidationError):
             jsonschema.validate(broken, json.loads(schema.data))
 
-    def test_what_monitor_tells(self):
+    def test_what_monitor_shows(self):
         self.write(2)
         (_, first), (_, second) = self.read_messages("/monitor")
         self.assertNotIn("answer_time", json.loads(first.data))
