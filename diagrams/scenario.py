@@ -39,7 +39,7 @@ class NoHuman:
     """Nobody is in the cell."""
 
     def check(self, where: str) -> None:
-        """There is nothing to check."""
+        """Does nothing."""
 
 
 @dc.dataclass(kw_only=True)

@@ -136,7 +136,7 @@ def test_each_status_for_two_seconds(monitor, position, status):
         assert set(states) == {STOP}, watch.eval("reason")
 
 
-def test_a_hang_is_told(monitor, position):
+def test_a_hang_is_reported(monitor, position):
     watch = make_watch(monitor, position)
     watch.tell(254, 0.4)
     watch.run(0.25)

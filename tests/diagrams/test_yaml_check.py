@@ -60,7 +60,7 @@ class TestCheckYaml(unittest.TestCase):
         _check("")
         _check("# nothing but a comment")
 
-    def test_bad_documents_are_told_with_line_path_and_remedy(self):
+    def test_bad_documents_are_reported_with_line_path_and_remedy(self):
         for text, message in (
             ("sensor: 8", "cell.yaml:1: sensor: unknown key; did you mean"),
             ("name: a\nzzz: 8", "cell.yaml:2: zzz: unknown key; known keys:"),

@@ -120,7 +120,7 @@ class TestParseRingAddress(unittest.TestCase):
                     self.assertEqual(address.host, "10.0.0.1")
                     self.assertEqual(address.senders, ("10.0.0.9",))
 
-    def test_tells_what_is_wrong_in_one_line(self):
+    def test_reports_what_is_wrong_in_one_line(self):
         for text, reason in (
             ("", "not an address"),
             ("127.0.0.1:5005", "not an address"),

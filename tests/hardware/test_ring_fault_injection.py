@@ -59,7 +59,7 @@ class TestParse(unittest.TestCase):
         )
         self.assertEqual(mut.parse_ring_fault("late:base@3").end, np.inf)
 
-    def test_tells_mistakes(self):
+    def test_reports_mistakes(self):
         for text, message in (
             ("", "not a fault"),
             ("silent", "not a fault"),

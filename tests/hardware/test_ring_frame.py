@@ -112,7 +112,7 @@ class TestFrame(unittest.TestCase):
         crc = binascii.crc_hqx(data, 0xFFFF)
         return bytes(data) + crc.to_bytes(2, "little")
 
-    def test_tells_what_is_wrong(self):
+    def test_reports_what_is_wrong(self):
         self.assertEqual(self.change(0, ord("T")), _PLAIN)
         self.check_wrong("magic", self.change(0, ord("t")))
         self.check_wrong("magic", self.change(1, 0))

@@ -176,7 +176,7 @@ class TestUdp(LinkTest):
         with self.assertRaisesRegex(UserError, "listen there: No such device"):
             self.open_link(dc.replace(self.address, interface="none0"))
 
-    def test_two_devices_with_one_number_are_told(self):
+    def test_two_devices_with_one_number_are_reported(self):
         link = mut.LoopbackRingLink(decoder=make_decoder())
         for i in range(200):
             for sequence in (1000 + i, i):
@@ -200,17 +200,17 @@ class TestUdp(LinkTest):
         self.assertEqual(status.corrupt, 6)
         self.assertEqual(status.unknown, 1)
 
-    def test_a_port_that_is_there_twice_is_told(self):
+    def test_a_port_that_is_there_twice_is_reported(self):
         other = dc.replace(self.address, senders=("127.0.0.2",))
         with self.assertRaisesRegex(UserError, "is given twice"):
             self.open_link(self.address, other)
 
-    def test_a_port_in_use_is_told(self):
+    def test_a_port_in_use_is_reported(self):
         self.open_link(self.address)
         with self.assertRaisesRegex(UserError, "cannot listen there: Address"):
             self.open_link(self.address)
 
-    def test_an_address_of_another_machine_is_told(self):
+    def test_an_address_of_another_machine_is_reported(self):
         address = UdpAddress(host="192.0.2.1", port=5005, senders=())
         with self.assertRaisesRegex(UserError, "udp://192.0.2.1:5005: cannot"):
             self.open_link(address)
@@ -280,7 +280,7 @@ class TestSerial(LinkTest):
         self.assertEqual(sum(c.lost for c in status.counts.values()), 0)
         self.assertTrue(wait_for(lambda: link.get_status().corrupt == 20))
 
-    def test_a_line_that_breaks_is_told_and_opened_again(self):
+    def test_a_line_that_breaks_is_reported_and_opened_again(self):
         import os
         import pathlib
         import tempfile
@@ -319,17 +319,17 @@ class TestSerial(LinkTest):
         self.assertTrue(wait_for(lambda: link.get_scans()[1].sequence == 0))
         self.assertEqual(link.get_scans()[0].sequence, -1)
 
-    def test_a_missing_line_is_told(self):
+    def test_a_missing_line_is_reported(self):
         with self.assertRaisesRegex(UserError, "cannot open it: No such file"):
             self.open_link(SerialAddress(path="/dev/there-is-none"))
 
-    def test_what_is_no_line_is_told_plainly(self):
+    def test_what_is_not_a_line_is_reported_plainly(self):
         with self.assertRaisesRegex(
             UserError, "^serial:///etc/passwd: .*: it is not a serial line$"
         ):
             self.open_link(SerialAddress(path="/etc/passwd"))
 
-    def test_a_line_that_is_in_use_is_told(self):
+    def test_a_line_that_is_in_use_is_reported(self):
         sender, _ = self.open_line()
         self.addCleanup(sender.close)
         with self.assertRaisesRegex(UserError, "another program has it"):
@@ -360,7 +360,7 @@ class TestOtherLinks(unittest.TestCase):
         for scan in (RingScan(), RingScan(sensor_time=np.full(3, -np.inf))):
             self.assertEqual(mut.calc_measured_time(scan), -np.inf)
 
-    def test_a_link_beyond_its_budget_is_told(self):
+    def test_a_link_beyond_its_budget_is_reported(self):
         """Frames of 24 ms that come half a second late at once."""
         link = mut.LoopbackRingLink(decoder=make_decoder())
         for i in range(200):

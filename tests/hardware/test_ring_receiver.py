@@ -254,7 +254,7 @@ class TestRingReceiver(unittest.TestCase):
         )
         self.assertEqual(scan.status.dtype, np.uint8)
 
-    def test_a_clock_that_jumps_starts_anew(self):
+    def test_a_clock_that_jumps_starts_again(self):
         receiver = make_receiver()
         run(receiver, range(40))
         scans = run(receiver, range(40, 80), clock=DeviceClock(start=3.0))

@@ -564,7 +564,7 @@ class TestWriting(unittest.TestCase):
 
 
 class TestWithSimulatedRobot(unittest.TestCase):
-    def test_in_use_is_told_and_retried(self):
+    def test_in_use_is_reported_and_retried(self):
         with serve() as server, connect(server) as first:
             first.wait_for_report(after=-1, timeout=120)
             with connect(server) as dut:

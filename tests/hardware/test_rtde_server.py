@@ -297,7 +297,7 @@ class TestInputs(TestServer):
         # One more than the two for a thread that is late.
         self.assertLess(seen - written, 3.5 * 0.008)
 
-    def test_wrong_packages_are_told_and_forgiven(self):
+    def test_wrong_packages_are_reported_and_forgiven(self):
         dut = self.connect()
         dut.ask("I", b"speed_slider_mask,speed_slider_fraction")
         for kind, payload, text in (

@@ -109,7 +109,7 @@ class Loop:
 
 
 class TestSubscriber(unittest.TestCase):
-    def test_waits_and_tells_if_nothing_comes(self):
+    def test_waits_and_reports_if_nothing_comes(self):
         loop = Loop(LoopbackConnection(), wait_timeout=0.01)
         with self.assertRaisesRegex(
             UserError, "no report from the robot within 0.01 s: it is silent"
@@ -269,7 +269,7 @@ class TestLoop(unittest.TestCase):
         self.assertEqual(fractions[198], 0.8)
         self.assertEqual(fractions[199], 0.1)
 
-    def test_nothing_is_sent_but_when_told(self):
+    def test_nothing_is_sent_but_when_asked(self):
         connection = LoopbackConnection()
         loop = Loop(connection, wait_timeout=0)
         connection.put(make_report(0))

@@ -154,7 +154,7 @@ class TestRunRecord(unittest.TestCase):
         count = len(list(reader.read_ticks()))
         return count, reader.is_damaged, reader.problem
 
-    def test_tells_whether_it_is_whole(self):
+    def test_reports_whether_it_is_whole(self):
         self.write(50)
         self.assertEqual(self.read_all(), (50, False, ""))
         whole = self.path.read_bytes()
@@ -167,7 +167,7 @@ class TestRunRecord(unittest.TestCase):
                 time_ = 0.008 * (count - 1)
                 self.assertIn(f"after the tick at {time_:.3f} s", problem)
 
-    def test_tells_where_it_is_damaged(self):
+    def test_reports_where_it_is_damaged(self):
         self.write(50)
         whole = self.path.read_bytes()
         middle = whole.index(b'"sequence":25,')
@@ -231,7 +231,7 @@ class TestRunRecord(unittest.TestCase):
             [b"hello", b"once more"],
         )
 
-    def test_a_full_disk_is_told_by_the_next_tick(self):
+    def test_a_full_disk_is_reported_by_the_next_tick(self):
         with self.assertRaisesRegex(UserError, "--record: /dev/full: cannot"):
             mut.RunRecorder(Path("/dev/full"), {})
         limits = resource.getrlimit(resource.RLIMIT_FSIZE)
@@ -296,7 +296,7 @@ class TestRunRecord(unittest.TestCase):
         with self.assertRaises(jsonschema.ValidationError):
             jsonschema.validate(broken, json.loads(schema.data))
 
-    def test_what_monitor_tells(self):
+    def test_what_monitor_shows(self):
         self.write(2)
         (_, first), (_, second) = self.read_messages("/monitor")
         self.assertNotIn("answer_time", json.loads(first.data))

@@ -411,7 +411,7 @@ class TestHold(unittest.TestCase):
         self.assertEqual(robot.slider, 0.0)
         self.assertNotIn(SliderPhase.FAULT, {s.phase for s in states})
 
-    def test_protective_stop_after_zero_is_told(self):
+    def test_protective_stop_after_zero_is_reported(self):
         robot = Robot()
         state = settle(robot)
         states = run(robot, 0.0, cycles=10, state=state)

@@ -55,7 +55,7 @@ class TestWatchdogScript(unittest.TestCase):
         ]
         self.assertEqual(order, sorted(order))
 
-    def test_document_tells_the_same_times(self):
+    def test_document_shows_the_same_times(self):
         frames = int(re.search(r"tofssm_frames = (\d+)", self.code)[1])
         frequency = int(re.search(r'_24", (\d+), "stop"', self.code)[1])
         text = _DOC.read_text("utf-8")

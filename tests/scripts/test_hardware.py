@@ -204,7 +204,7 @@ class TestHardware(unittest.TestCase):
             self.assertEqual(code, 2)
             self.assertIn("must be a multiple of 0.002 s", err)
 
-    def test_replay_tells_a_difference(self):
+    def test_replay_shows_a_difference(self):
         path = self.folder / "run.mcap"
         with (
             serve(make_robot(start="heartbeat")) as server,
@@ -262,7 +262,7 @@ class TestHardware(unittest.TestCase):
         )
         self.assertEqual(robot.path_time, 0.0)
 
-    def test_a_robot_that_tells_no_pose(self):
+    def test_a_robot_that_reports_no_pose(self):
         for options, starts in (((), False), (("--allow-no-pose",), True)):
             robot = make_robot(start="heartbeat")
             del robot.output_types["actual_TCP_pose"]
@@ -548,7 +548,7 @@ class TestHardware(unittest.TestCase):
                     self.assertEqual(err.count("\n"), 1)
             self.assertEqual(robot.path_time, 0.0)
 
-    def test_an_error_while_it_is_told_to_stop(self):
+    def test_an_error_while_it_is_reported_to_stop(self):
         def fail():
             os.kill(os.getpid(), signal.SIGTERM)
             raise RuntimeError("just then")
@@ -797,7 +797,7 @@ class TestReady(unittest.TestCase):
 
     def test_joints(self):
         far = self.q + np.array([0.0, 0.0, 0.0, 0.0, 0.0, 1.5])
-        with self.assertRaisesRegex(UserError, "from where the scenario"):
+        with self.assertRaisesRegex(UserError, "from the path of the scenario"):
             self.require(position=far)
         self.require(position=far, max_deviation=np.inf)
         outside = self.q.copy()

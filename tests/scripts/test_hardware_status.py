@@ -98,7 +98,7 @@ class TestStatus(unittest.TestCase):
             line,
         )
 
-    def test_sensors_with_a_problem_are_told(self):
+    def test_sensors_with_a_problem_are_reported(self):
         line = mut.describe_status(
             make_result(
                 1.0,
@@ -133,7 +133,7 @@ class TestChanges(unittest.TestCase):
             if changes.find(make_result(0.008 * k, state))
         ]
 
-    def test_a_stop_is_told_at_once_and_its_end_when_it_lasts(self):
+    def test_a_stop_is_reported_at_once_and_its_end_when_it_lasts(self):
         states = [RobotState.NORMAL] * 200 + [RobotState.STOP] * 100
         states += [RobotState.REDUCED] * 200
         # 0.008 * 299 is the last tick of the stop.
@@ -144,7 +144,7 @@ class TestChanges(unittest.TestCase):
         states += [RobotState.STOP, RobotState.REDUCED] * 500
         self.assertEqual(self.find(states), [0.0, 1.6])
 
-    def test_problems_and_phases_are_told_at_once(self):
+    def test_problems_and_phases_are_reported_at_once(self):
         changes = mut.Changes(dry_run=False)
         fault = SliderState(phase=SliderPhase.FAULT, reason="at 0.5, not 0.1")
         later = SliderState(phase=SliderPhase.FAULT, reason="at 0.4, not 0.0")

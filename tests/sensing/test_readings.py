@@ -58,7 +58,7 @@ class TestClassify(unittest.TestCase):
                 expected = FAULTED
             self.assertEqual(reading, expected, status)
 
-    def test_fault_tells_the_cause(self):
+    def test_fault_shows_the_cause(self):
         for status in range(256):
             self.assertEqual(
                 mut.find_fault(status, 0.02, 0.072),

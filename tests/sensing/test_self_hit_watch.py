@@ -393,7 +393,7 @@ class TestCoverage(unittest.TestCase):
             ["elbow ring cannot be verified by self-hits"],
         )
 
-    def test_other_sensings_have_nothing_to_tell(self):
+    def test_other_sensings_have_nothing_to_report(self):
         scenario = Scenario()
         scenario.sensing = "lidar"
         self.assertEqual(tell_self_hit_coverage(scenario), [])
@@ -508,7 +508,7 @@ class Ride:
 
 
 class TestSystems(unittest.TestCase):
-    def test_ring_that_sees_nothing_is_told(self):
+    def test_ring_that_sees_nothing_is_reported(self):
         model, path = make_model_and_path()
         q = path.calc_motion(0.0)[0]
         dut = mut.SelfHitWatch(model=model, period=PERIOD)
@@ -545,7 +545,7 @@ class TestSystems(unittest.TestCase):
         # The very same message until something changes.
         self.assertIs(port.Eval(context), health)
 
-    def test_hit_that_rides_is_told_until_it_ends(self):
+    def test_hit_that_rides_is_reported_until_it_ends(self):
         rig = Ride()
         # 0.1 rad per look: about 5 cm of the tool's path.
         looks = 0

@@ -218,7 +218,7 @@ class TestTofRings(unittest.TestCase):
         self.assertEqual([s.sequence for s in scans], [-1, -1, 0])
         self.assertIsInstance(scans[0], RingScan)
 
-    def test_scan_tells_what_was_there_at_its_own_time(self):
+    def test_scan_shows_what_was_there_at_its_own_time(self):
         for phase in (0.0, 0.008):
             scans = self.run_until(
                 make_cell(make_ideal(), phase=phase, noise=None),

@@ -116,7 +116,7 @@ class TestStates(unittest.TestCase):
             self.reason(index), "reduced: tool at 0.800 m < d_R 0.995 m"
         )
 
-    def test_filtered_distance_is_told(self):
+    def test_filtered_distance_is_reported(self):
         index = make_index(distance=(0.6, 2.0, 2.0), measured=(0.9, 2.0, 2.0))
         self.assertEqual(
             self.reason(index),

@@ -46,7 +46,7 @@ class HeldRobot:
         return RtdeStatus(connected=self.report.sequence >= 0, problem="")
 
     def close(self) -> None:
-        """There is nothing to close."""
+        """Does nothing."""
 
 
 class HeldRings:
@@ -91,4 +91,4 @@ class HeldRings:
         return all(scan.sequence >= 0 for scan in self.scans)
 
     def close(self) -> None:
-        """There is nothing to close."""
+        """Does nothing."""

@@ -191,7 +191,7 @@ def require_distinct(
 
 
 def _is_broadcast(host):
-    """Whether datagrams to it go to more than one machine."""
+    """Returns whether datagrams to it go to more than one machine."""
     if host == "0.0.0.0":
         # Every interface; reported by one without broadcasts.
         return False

@@ -489,7 +489,7 @@ class LoopbackRingLink:
         return all(scan.sequence >= 0 for scan in self._decoder.scans)
 
     def close(self) -> None:
-        """There is nothing to close."""
+        """Does nothing."""
 
 
 class NullRingLink:
@@ -512,4 +512,4 @@ class NullRingLink:
         return False
 
     def close(self) -> None:
-        """There is nothing to close."""
+        """Does nothing."""

@@ -74,7 +74,7 @@ def _make_plain(value):
 
 
 def _is_none(value):
-    """Whether it is NaN, all of it, and may be left out."""
+    """Returns whether all of a value is NaN, so that it may be left out."""
     if isinstance(value, float):
         return math.isnan(value)
     return (

@@ -550,7 +550,7 @@ def _describe(config, state, now, choice, arm_problem, cause):
     if not choice.confirmed:
         reason = f"slider at {echo:.2f}, not yet seen at {target:.2f}"
         if abs(echo - target) <= 0.005:
-            reason = "waits until the robot stands still"
+            reason = "waiting until the robot stands still"
         return SliderPhase.WAITING, reason
     if choice.astray:
         reason = f"slider was moved to {echo:.2f}, is set to {target:.2f}"

@@ -56,7 +56,7 @@ def make_distance_constants(config: SsmConfig) -> DistanceConstants:
 
 @njit(cache=True)
 def critical_distance(c, k, link_speed):
-    """Eq. 5b; see calc_critical_distance()."""
+    """Returns Eq. 5b; see calc_critical_distance()."""
     if c.fixed:
         return 0.0 * k + c.d_C_sm
     d_C = (
@@ -70,7 +70,7 @@ def critical_distance(c, k, link_speed):
 
 @njit(cache=True)
 def reduced_distance(c, k, robot_state, d_C):
-    """Eq. 5a; see calc_reduced_distance()."""
+    """Returns Eq. 5a; see calc_reduced_distance()."""
     if c.fixed:
         return 0.0 * k + c.d_R_sm
     R_buffer = (2.0 - robot_state) * c.V_lmax * c.T_red / 4.0
