@@ -502,7 +502,7 @@ class TestRecovery(unittest.TestCase):
         state = settle(self.robot, 1.0)
         states = self.go(0.0, 50, state, "elbow is faulted")
         self.assertEqual(states[-1].phase, SliderPhase.RECOVERING)
-        self.assertTrue(states[-1].reason.endswith("for now: elbow is faulted"))
+        self.assertTrue(states[-1].reason.endswith("at most 0.50 for now"))
         self.assertEqual(self.robot.slider, 0.0)
         states = self.go(1.0, 200, states[-1])
         # It is over.

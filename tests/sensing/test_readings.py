@@ -4,6 +4,7 @@ import unittest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 import numpy as np
+from scipy.optimize import brentq
 
 from tofssm_drake.messages import Reading, RingHealth, SensorFault
 import tofssm_drake.sensing.readings as mut
@@ -204,10 +205,21 @@ class TestRingHealth(unittest.TestCase):
 
     def test_how_often_lost_samples_stop_the_robot(self):
         """The figures beside SeparationConfig.fault_time."""
-        scans_per_s, sensors, year = 3 / 0.024, 8, 365 * 86400
-        # One sensor 12 times in a row, or more than half of a ring at once.
-        in_a_row = scans_per_s * sensors * 0.1**12 * 0.9
-        self.assertAlmostEqual(1 / in_a_row / year, 35.2, places=1)
+        scans_per_s, sensors = 3 / 0.024, 8
+        # A lag of 0.3 s of one sensor: a lost sample adds 24 ms, a good one
+        # takes a fifth of it away. Bound of Cramer and Lundberg for how often
+        # that walk gets from 1 to 12.5 steps.
+        for lost, days in ((0.05, 1665.0), (0.07, 4.3)):
+            exponent = brentq(
+                lambda x, p=lost: (
+                    p * math.exp(x) + (1 - p) * math.exp(-0.2 * x) - 1
+                ),
+                0.1,
+                10.0,
+            )
+            rate = scans_per_s * sensors * lost * math.exp(-11.5 * exponent)
+            self.assertAlmostEqual(days * 86400 * rate, 1.0, delta=0.01)
+        # More than half of a ring at once.
         at_once = scans_per_s * sum(
             math.comb(8, k) * 0.01**k * 0.99 ** (8 - k) for k in range(5, 9)
         )

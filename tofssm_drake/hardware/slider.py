@@ -559,9 +559,10 @@ def _describe(config, state, now, choice, arm_problem, cause):
         return SliderPhase.YIELDING, _describe_operator(choice.operator)
     is_below = target < now.wanted
     if now.problem or (is_below and choice.healthy < config.recovery_time):
+        # A present problem is reported beside it.
+        after = "" if now.problem else f", after: {cause}"
         return SliderPhase.RECOVERING, (
-            f"slider at most {config.reduced_fraction:.2f} for "
-            f"now{': ' if now.problem else ', after: '}{cause}"
+            f"slider at most {config.reduced_fraction:.2f} for now{after}"
         )
     if is_below:
         reason = f"slider rises from a stop, at {target:.2f}"

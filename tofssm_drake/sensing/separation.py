@@ -50,8 +50,10 @@ class SeparationConfig:
 
     # If a sensor is faulted for longer than this, s, its link is faulted,
     # which stops the robot (*assumed*: a person walks half a metre in that
-    # time, and at 42 Hz it takes 12 lost samples in a row. If one sample in
-    # ten were lost, three rings of 8 would stop the robot once in 35 years).
+    # time, and at 42 Hz it takes 12 lost samples in a row, or 13 more than a
+    # fifth of the good ones among them. If one sample in 20 is lost, three
+    # rings of 8 stop the robot less than once in four years; if one in 14 is,
+    # once in four days: such a sensor is not healthy).
     # If more than half of a ring's sensors are faulted at once, the robot stops
     # at once; with one lost sample in a hundred that happens by chance once in
     # 17 days.
