@@ -565,6 +565,9 @@ def remember_in_full(config, result, before, i, *, is_proven, now, report):
         is_changed = is_new and distance != before.raw.distance[i]
         for name in ("healthy_time", "no_returns", "unmeasured", "others"):
             getattr(result, name)[i] = getattr(before, name)[i]
+        if before.scan.sequence >= 0:
+            pause = result.scan.time - before.scan.time - 0.1
+            result.healthy_time[i] += max(pause, 0.0)
     is_good = result.fault[i] == SensorFault.NONE
     if is_good and is_new:
         if result.healthy_time[i] == -np.inf:

@@ -41,9 +41,9 @@ _NONE = int(SensorFault.NONE)
 _SIGMA = int(SensorFault.SIGMA)
 _DEAD = int(SensorFault.DEAD)
 
-# A pause between samples counts as no more than this, s: what a ring does not
-# send is judged elsewhere.
-_LONGEST_STEP = 0.1
+LONGEST_STEP = 0.1
+"""A pause between samples counts as no more than this, s: the law judges what a
+ring does not send by the age of its samples."""
 
 
 @dc.dataclass(kw_only=True)
@@ -115,7 +115,7 @@ def calc_healthy_time(healthy_time, time, time_before, ratio, longest_lag):
     """
     if healthy_time == -np.inf:
         return time
-    worked = min(max(time - time_before, 0.0), _LONGEST_STEP)
+    worked = min(max(time - time_before, 0.0), LONGEST_STEP)
     lag = time - healthy_time - (1.0 + 1.0 / ratio) * worked
     return time - min(max(lag, 0.0), longest_lag)
 

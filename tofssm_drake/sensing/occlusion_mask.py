@@ -28,6 +28,7 @@ from tofssm_drake.messages import (
     SensorFault,
 )
 from tofssm_drake.sensing.memory import (
+    LONGEST_STEP,
     SensorMemoryConfig,
     calc_healthy_time,
     find_other_obstacles,
@@ -308,8 +309,19 @@ _WAS_NO_RETURNS, _WAS_UNMEASURED, _WAS_OTHERS = 6, 7, 8
 _WAS_RAW_TIME, _WAS_RAW_DISTANCE = 9, 10
 
 
-def _stack_before(before):
-    """Returns what is left of the scan before, (11, n)."""
+def _stack_before(before, time):
+    """Returns what is left of the scan before, (11, n).
+
+    While a ring sends nothing, its sensors neither work nor fail: their healthy
+    time moves on.
+
+    Args:
+        before: the ring's masked scan before.
+        time: of the new scan, s.
+    """
+    pause = 0.0
+    if before.scan.sequence >= 0:
+        pause = max(time - before.scan.time - LONGEST_STEP, 0.0)
     return np.array(
         [
             before.scan.sensor_time,
@@ -317,7 +329,7 @@ def _stack_before(before):
             before.reading,
             before.previous_distance,
             before.previous_time,
-            before.healthy_time,
+            before.healthy_time + pause,
             before.no_returns,
             before.unmeasured,
             before.others,
@@ -805,7 +817,11 @@ def _load_scan(tables, first, scan, before):
     raw = _fill_in(scan, before.raw)
     new = np.array([raw.sensor_time, raw.distance, raw.status])
     _load_ring(
-        tables.samples, tables.verdict, first, new, _stack_before(before)
+        tables.samples,
+        tables.verdict,
+        first,
+        new,
+        _stack_before(before, scan.time),
     )
     return raw
 
