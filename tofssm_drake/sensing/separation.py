@@ -350,7 +350,7 @@ def make_separation(
     Args:
         rows: From `calc_link_row`.
         name: The m links.
-        masked_scans: What the rows were made from, for later comparison.
+        masked_scans: What the rows were made from.
     """
     # Column by column, so that each field is contiguous.
     columns = rows.T.copy()
@@ -359,7 +359,7 @@ def make_separation(
     count = whole[_COUNT - _REALS :].T.copy()
     for array in (rows, columns, whole, direction, count):
         array.setflags(write=False)
-    return _TofSeparation.of_read_only(
+    return Separation.of_read_only(
         name=name,
         sequence=whole[_SEQUENCE - _REALS],
         time=columns[_TIME],
@@ -372,8 +372,6 @@ def make_separation(
         health=whole[_HEALTH - _REALS],
         count=count,
         problem=_describe_problems(whole[_HEALTH - _REALS], masked_scans),
-        rows=rows,
-        masked_scans=masked_scans,
     )
 
 
@@ -448,14 +446,6 @@ def _make_empty_row() -> np.ndarray:
     row[_HEALTH] = empty.health[0]
     row[_COUNT:] = empty.count[0]
     return row
-
-
-@dc.dataclass(frozen=True, eq=False, kw_only=True)
-class _TofSeparation(Separation):
-    """A separation that knows what it was made from."""
-
-    rows: np.ndarray
-    masked_scans: tuple[MaskedScan, ...]
 
 
 class _LastKinematics:
@@ -550,23 +540,13 @@ class TofSeparation(LeafSystem):
         )
 
     def _calc_separation(self, context: Context, output):
-        """Calculates the rows of the links whose ring has a new scan.
-
-        The masks' state changes as a whole. The port's old value shows which
-        scans are the same; the new one still depends only on the inputs.
-        """
-        before = output.get_value()
+        """Calculates a row for each link."""
         masked_scans = tuple(port.Eval(context) for port in self._masked_scans)
-        rows = None
-        for link, masked_scan in enumerate(masked_scans):
-            if masked_scan is before.masked_scans[link]:
-                continue
-            if rows is None:
-                rows = before.rows.copy()
-            if masked_scan.scan.sequence < 0:
-                rows[link] = _make_empty_row()
-            else:
-                rows[link] = calc_link_row(
+        rows = np.array(
+            [
+                _make_empty_row()
+                if masked_scan.scan.sequence < 0
+                else calc_link_row(
                     self._config,
                     masked_scan,
                     self._geometries[link],
@@ -574,5 +554,7 @@ class TofSeparation(LeafSystem):
                     link,
                     self._k_max,
                 )
-        if rows is not None:
-            output.set_value(make_separation(rows, self._name, masked_scans))
+                for link, masked_scan in enumerate(masked_scans)
+            ]
+        )
+        output.set_value(make_separation(rows, self._name, masked_scans))

@@ -1,7 +1,5 @@
 """Filter of the Distance Safety Index (the 2019 paper's Algorithm 1)."""
 
-import dataclasses as dc
-
 import numpy as np
 from pydrake.common.value import Value
 from pydrake.systems.framework import EventStatus, LeafSystem
@@ -125,15 +123,6 @@ def make_initial_filter_state(m: int) -> np.ndarray:
     )
 
 
-@dc.dataclass(frozen=True, eq=False, kw_only=True)
-class _FilteredIndex(SafetyIndex):
-    """An index that knows what it was made from."""
-
-    separation: Separation
-    to_store: bytes
-    """The links' part of the filter's next state."""
-
-
 def calc_safety_index(
     *,
     constants: DistanceConstants,
@@ -170,7 +159,7 @@ def calc_safety_index(
     health = index[8].astype(np.uint8)
     for array in (index, health):
         array.setflags(write=False)
-    return _FilteredIndex.of_read_only(
+    return SafetyIndex.of_read_only(
         name=separation.name,
         sequence=separation.sequence,
         time=separation.time,
@@ -182,28 +171,6 @@ def calc_safety_index(
         dsi_R=index[7],
         health=health,
         problem=separation.problem,
-        separation=separation,
-        to_store=index[:3].tobytes(),
-    )
-
-
-def is_stored(
-    state: np.ndarray, index: SafetyIndex, separation: Separation
-) -> bool:
-    """Returns whether an index is the filter's result for a separation.
-
-    That is so if it was made from this separation and the state follows from
-    it; then there is nothing to calculate.
-
-    Args:
-        state: See make_initial_filter_state(), shape (3 m + 1,).
-        index: An earlier result, from any separation.
-        separation: Result of the sensing.
-    """
-    return (
-        isinstance(index, _FilteredIndex)
-        and index.separation is separation
-        and state[:-1].tobytes() == index.to_store
     )
 
 
@@ -309,9 +276,6 @@ class DsiFilter(LeafSystem):
                 f"was made for {self._name}"
             )
         state = context.get_discrete_state(self._state).value()
-        # Storing a sample changes the state, but not the index.
-        if is_stored(state, output.get_value(), separation):
-            return
         output.set_value(
             calc_safety_index(
                 constants=self._constants, state=state, separation=separation
