@@ -278,19 +278,23 @@ def test_a_sensor_that_fails_again_and_again_stops_the_robot(
     assert "sensor 0: " in watch.eval("reason")
 
 
-@pytest.mark.parametrize("distance", [0.5, 0.6, 0.7])
-def test_a_frozen_value_releases_nothing(monitor, position, distance):
+@pytest.mark.parametrize("later", [0, 2, 5])
+def test_a_frozen_value_releases_nothing(monitor, position, later):
     """It repeats before anyone knows; the speed must not be forgotten."""
     watch = Watch(monitor, position)
     watch.run(1.0)
-    for d in np.arange(1.3, distance, -0.03):
-        watch.tell(VALID, d)
+    distance = 1.3
+    while watch.state != STOP:
+        distance -= 0.03
+        watch.tell(VALID, distance)
         watch.run(PERIOD)
-    if watch.state != STOP:
-        pytest.skip("this law does not stop that early")
+    for _ in range(later):
+        distance -= 0.03
+        watch.tell(VALID, distance)
+        watch.run(PERIOD)
     for _ in range(25):
         assert watch.run_scan() == STOP, watch.eval("reason")
-    watch.tell(240, d)
+    watch.tell(240, distance)
     for _ in range(50):
         assert watch.run_scan() == STOP
 
