@@ -91,7 +91,12 @@ def test_sixteen_sensors_see_more(run):
     _, sixteen = run("SixteenSensors")
     assert sixteen["products_placed"] == 10
     assert sixteen["contact_while_moving_events"] == 0
-    # On the average: the two robots do not move alike.
+    # The two robots do not move alike, so a single ring may see 1 % less.
+    for ring in RINGS:
+        assert (
+            sixteen["detection_share_by_ring"][ring]
+            > eight["detection_share_by_ring"][ring] - 0.01
+        )
     assert sum(sixteen["detection_share_by_ring"].values()) > sum(
         eight["detection_share_by_ring"].values()
     )

@@ -24,6 +24,37 @@ def make_samples(fault):
     )
 
 
+class TestFindFaultedLinks(unittest.TestCase):
+    def test_causes_that_differ_in_numbers_are_one(self):
+        samples = make_samples([[0, 0]])
+        samples.column["reason"] = np.array(
+            [
+                "",
+                "stop: tool is faulted, samples 46 ms old, 34 ms allowed",
+                "stop: tool is faulted, samples 61 ms old, 34 ms allowed",
+                "stop: base at 0.500 m <= d_C 0.665 m",
+                "reduced: tool is degraded, sensor 3: declared dead",
+                "stop: base is faulted, unseen self-hit: base sensor 2",
+            ],
+            dtype=object,
+        )
+        found = mut.find_faulted_links(samples)
+        self.assertEqual(
+            [(f.link, f.cause) for f in found],
+            [
+                ("tool", "samples 46 ms old, 34 ms allowed"),
+                ("tool", "sensor 3: declared dead"),
+                ("base", "unseen self-hit: base sensor 2"),
+            ],
+        )
+        np.testing.assert_allclose(
+            [f.first for f in found], [0.008, 0.032, 0.04]
+        )
+        np.testing.assert_allclose(
+            [f.duration for f in found], [0.016, 0.008, 0.0], atol=1e-12
+        )
+
+
 class TestFindFaultedSensors(unittest.TestCase):
     def test_none(self):
         self.assertEqual(
