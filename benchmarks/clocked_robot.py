@@ -11,12 +11,12 @@ import os
 from pathlib import Path
 import time
 
-from tofssm_drake.hardware.rtde_server import RtdeServer
-from tofssm_drake.hardware.simulated_ur import SimulatedUr, SimulatedUrConfig
-from tofssm_drake.robot.kinematics import RingKinematics
-from tofssm_drake.robot.program import make_program_path
-from tofssm_drake.robot.twin import make_cell_plant
+from tofssm_drake.arms.cell_plant import make_cell_plant
+from tofssm_drake.arms.kinematics import RingKinematics
+from tofssm_drake.rtde.rtde_server import RtdeServer
+from tofssm_drake.rtde.simulated_ur import SimulatedUr, SimulatedUrConfig
 from tofssm_drake.scripts.simulate import catch_stop
+from tofssm_drake.tasks.program import make_program_path
 
 HEARTBEAT = "input_int_register_24"
 # A real controller is a computer of its own: nothing here may delay it.

@@ -14,7 +14,7 @@ import sys
 from tofssm_drake.diagrams.scenario import load_scenario
 from tofssm_drake.diagrams.simulation import Run
 from tofssm_drake.diagrams.workcell import make_workcell
-from tofssm_drake.sensing.self_hit_watch import view_state
+from tofssm_drake.perception.self_hit_watch import view_state
 
 _HOURS = 1.0
 

@@ -6,9 +6,9 @@ from pathlib import Path
 from mcap.reader import make_reader
 import numpy as np
 
-from tofssm_drake.hardware.ring_receiver import RingDecoder, RingLinkConfig
-from tofssm_drake.hardware.ring_systems import is_ahead
-from tofssm_drake.hardware.run_record import RecordedTick, RunReader
+from tofssm_drake.recording.run_record import RecordedTick, RunReader
+from tofssm_drake.ringlink.ring_receiver import RingDecoder, RingLinkConfig
+from tofssm_drake.ringlink.ring_systems import is_ahead
 
 # The first ticks, while everything is still starting up, s.
 _START = 1.0

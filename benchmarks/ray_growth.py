@@ -22,8 +22,8 @@ from pydrake.geometry import (
 )
 from pydrake.math import RigidTransform, RollPitchYaw, RotationMatrix
 
-from tofssm_drake.geometry.fan import make_cone_fan
-from tofssm_drake.geometry.ray_caster import RayCaster
+from tofssm_drake.raycast.fan import make_cone_fan
+from tofssm_drake.raycast.ray_caster import RayCaster
 
 RAYS = 25
 FOV = np.deg2rad(25.0)

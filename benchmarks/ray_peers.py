@@ -10,7 +10,7 @@ from pydrake.geometry import Box, Capsule, HalfSpace, Mesh, Sphere
 from pydrake.math import RotationMatrix
 from ray_scene import Scene
 
-from tofssm_drake.geometry.triangle_mesh import read_mesh
+from tofssm_drake.raycast.triangle_mesh import read_mesh
 
 
 def list_shapes(scene: Scene):

@@ -22,23 +22,21 @@ from pydrake.geometry import (
 from pydrake.math import RigidTransform
 from pydrake.systems.framework import DiagramBuilder
 
+from tofssm_drake.arms.cell_plant import make_twin_plant
+from tofssm_drake.arms.kinematics import RingKinematics
 from tofssm_drake.diagrams.scenario import load_scenario
-from tofssm_drake.geometry.ray_caster import RayCaster
-from tofssm_drake.geometry.triangle_mesh import read_mesh
-from tofssm_drake.human.avatar import HumanAvatar
-from tofssm_drake.human.motion import capsule_ends
-from tofssm_drake.human.skeleton import calc_capsule_poses
-from tofssm_drake.human.walk import make_walk
 from tofssm_drake.messages import RINGS
-from tofssm_drake.robot.kinematics import RingKinematics
-from tofssm_drake.robot.products import ProductLayout, calc_product_positions
-from tofssm_drake.robot.program import make_program_path
-from tofssm_drake.robot.twin import (
-    TwinPoses,
-    make_twin_plant,
-)
-from tofssm_drake.sensing.ring_mount import find_ring_mount
-from tofssm_drake.sensing.tof_rings import make_ring_bundles
+from tofssm_drake.people.avatar import HumanAvatar
+from tofssm_drake.people.motion import capsule_ends
+from tofssm_drake.people.skeleton import calc_capsule_poses
+from tofssm_drake.people.walk import make_walk
+from tofssm_drake.perception.twin import TwinPoses
+from tofssm_drake.raycast.ray_caster import RayCaster
+from tofssm_drake.raycast.triangle_mesh import read_mesh
+from tofssm_drake.sensors.ring_mount import find_ring_mount
+from tofssm_drake.sensors.tof_rings import make_ring_bundles
+from tofssm_drake.tasks.products import ProductLayout, calc_product_positions
+from tofssm_drake.tasks.program import make_program_path
 
 NUM_STATES = 256
 

@@ -6,16 +6,16 @@ import time
 import numpy as np
 import pytest
 
-from tofssm_drake.hardware.ring_address import SerialAddress, UdpAddress
-from tofssm_drake.hardware.ring_device import (
+from tofssm_drake.messages import RingScan
+from tofssm_drake.ringlink.ring_address import SerialAddress, UdpAddress
+from tofssm_drake.ringlink.ring_device import (
     PtySender,
     UdpSender,
     make_frame,
 )
-from tofssm_drake.hardware.ring_frame import encode_frame, encode_serial
-from tofssm_drake.hardware.ring_link import RingLink
-from tofssm_drake.hardware.ring_receiver import RingDecoder, RingLinkConfig
-from tofssm_drake.messages import RingScan
+from tofssm_drake.ringlink.ring_frame import encode_frame, encode_serial
+from tofssm_drake.ringlink.ring_link import RingLink
+from tofssm_drake.ringlink.ring_receiver import RingDecoder, RingLinkConfig
 
 _BUDGET = 0.020
 _FRAMES = 2000

@@ -3,15 +3,15 @@
 At 500 Hz there are 2 ms for everything.
 """
 
-from tofssm_drake.hardware.rtde_fields import OUTPUT_TYPES
-from tofssm_drake.hardware.rtde_protocol import PackageReader, Recipe
-from tofssm_drake.hardware.rtde_report import ReportMaker, list_outputs
-from tofssm_drake.hardware.slider import (
+from tofssm_drake.messages import RobotReport, SliderCommand
+from tofssm_drake.rtde.rtde_fields import OUTPUT_TYPES
+from tofssm_drake.rtde.rtde_protocol import PackageReader, Recipe
+from tofssm_drake.rtde.rtde_report import ReportMaker, list_outputs
+from tofssm_drake.rtde.slider import (
     SliderConfig,
     SliderState,
     step_slider,
 )
-from tofssm_drake.messages import RobotReport, SliderCommand
 
 
 def test_package_to_report(benchmark):

@@ -13,12 +13,12 @@ from tofssm_drake.diagrams.scenario import (
 )
 from tofssm_drake.diagrams.simulation import Run
 from tofssm_drake.diagrams.workcell import make_workcell
-from tofssm_drake.evaluation.audit import calc_audit
-from tofssm_drake.evaluation.campaign import VARIANTS, PlannedRun, make_row
-from tofssm_drake.evaluation.run_metrics import calc_run_metrics
-from tofssm_drake.evaluation.samples import write_samples
-from tofssm_drake.human.bvh import BvhRecording
-from tofssm_drake.human.walk import GeneratedWalk
+from tofssm_drake.metrics.audit import calc_audit
+from tofssm_drake.metrics.run_metrics import calc_run_metrics
+from tofssm_drake.people.bvh import BvhRecording
+from tofssm_drake.people.walk import GeneratedWalk
+from tofssm_drake.recording.samples import write_samples
+from tofssm_drake.studies.campaign import VARIANTS, PlannedRun, make_row
 
 
 @dc.dataclass(frozen=True, kw_only=True)

@@ -8,16 +8,12 @@ import numpy as np
 from pydrake.geometry import Meshcat
 from pydrake.systems.framework import Context
 
+from tofssm_drake.arms.kinematics import RingKinematics
 from tofssm_drake.diagrams.hardware_station import make_hardware_station
+from tofssm_drake.diagrams.held_connections import HeldRings, HeldRobot
 from tofssm_drake.diagrams.scenario import Scenario, make_law
 from tofssm_drake.diagrams.simulation import make_simulator
 from tofssm_drake.diagrams.workcell import Workcell, make_workcell
-from tofssm_drake.hardware.held_connections import HeldRings, HeldRobot
-from tofssm_drake.hardware.slider import (
-    SliderConfig,
-    SliderPhase,
-    SliderState,
-)
 from tofssm_drake.messages import (
     RINGS,
     RingHealth,
@@ -26,8 +22,12 @@ from tofssm_drake.messages import (
     RobotState,
     Separation,
 )
-from tofssm_drake.robot.kinematics import RingKinematics
-from tofssm_drake.robot.program import make_program_path
+from tofssm_drake.rtde.slider import (
+    SliderConfig,
+    SliderPhase,
+    SliderState,
+)
+from tofssm_drake.tasks.program import make_program_path
 from tofssm_drake.visualization.health_board import (
     BLIND,
     FAULT,

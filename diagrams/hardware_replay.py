@@ -7,9 +7,9 @@ import yaml
 from tofssm_drake.diagrams.hardware_loop import HardwareLoop, TickInput
 from tofssm_drake.diagrams.hardware_run import describe_state
 from tofssm_drake.diagrams.scenario import Scenario, change_scenario
-from tofssm_drake.hardware.arm_obedience import ArmConfig
-from tofssm_drake.hardware.run_record import RunReader
-from tofssm_drake.hardware.slider import SliderConfig
+from tofssm_drake.recording.run_record import RunReader
+from tofssm_drake.rtde.arm_obedience import ArmConfig
+from tofssm_drake.rtde.slider import SliderConfig
 
 
 @dc.dataclass(frozen=True, kw_only=True)

@@ -15,6 +15,7 @@ import time
 
 import numpy as np
 
+from tofssm_drake.arms.kinematics import RingKinematics
 from tofssm_drake.diagrams.hardware_loop import (
     HardwareLoop,
     TickInput,
@@ -22,21 +23,20 @@ from tofssm_drake.diagrams.hardware_loop import (
 )
 from tofssm_drake.diagrams.scenario import Scenario
 from tofssm_drake.errors import UserError, require
-from tofssm_drake.hardware.model_match import (
+from tofssm_drake.messages import RobotReport, SliderCommand
+from tofssm_drake.recording.run_record import RecordedTick, RunRecorder
+from tofssm_drake.ringlink.ring_link import RingConnection, explain_silence
+from tofssm_drake.rtde.model_match import (
     ModelConfig,
     ModelMatch,
     start_model_match,
     step_model_match,
 )
-from tofssm_drake.hardware.ring_link import RingConnection, explain_silence
-from tofssm_drake.hardware.robot_checks import RobotChecks
-from tofssm_drake.hardware.robot_clock import RobotClock
-from tofssm_drake.hardware.robot_connection import RobotConnection
-from tofssm_drake.hardware.rtde_fields import SafetyMode, name_of
-from tofssm_drake.hardware.run_record import RecordedTick, RunRecorder
-from tofssm_drake.messages import RobotReport, SliderCommand
-from tofssm_drake.robot.kinematics import RingKinematics
-from tofssm_drake.robot.program import make_program_path
+from tofssm_drake.rtde.robot_checks import RobotChecks
+from tofssm_drake.rtde.robot_clock import RobotClock
+from tofssm_drake.rtde.robot_connection import RobotConnection
+from tofssm_drake.rtde.rtde_fields import SafetyMode, name_of
+from tofssm_drake.tasks.program import make_program_path
 
 # One wait for a report, s; then signals are checked.
 _WAIT = 0.05

@@ -5,26 +5,26 @@ import dataclasses as dc
 from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import ConstantVectorSource
 
+from tofssm_drake.arms.kinematics import RingKinematics
+from tofssm_drake.diagrams.held_connections import HeldRings, HeldRobot
 from tofssm_drake.diagrams.ring_world import add_ring_world, make_scene
 from tofssm_drake.diagrams.scenario import NoHuman, Scenario, make_law
 from tofssm_drake.diagrams.station import Station
-from tofssm_drake.hardware.held_connections import HeldRings, HeldRobot
-from tofssm_drake.hardware.ring_systems import (
+from tofssm_drake.laws.sensing_problem import SensingProblem
+from tofssm_drake.messages import RINGS
+from tofssm_drake.ringlink.ring_systems import (
     RingInterfaceSystem,
     RingSubscriberSystem,
 )
-from tofssm_drake.hardware.rtde_systems import (
+from tofssm_drake.rtde.rtde_systems import (
     RobotReportReceiver,
     RtdeInterfaceSystem,
     RtdePublisherSystem,
     RtdeSubscriberSystem,
     SliderControl,
 )
-from tofssm_drake.hardware.slider import SliderConfig
-from tofssm_drake.messages import RINGS
-from tofssm_drake.robot.kinematics import RingKinematics
-from tofssm_drake.robot.program import make_program_path
-from tofssm_drake.ssm.sensing_problem import SensingProblem
+from tofssm_drake.rtde.slider import SliderConfig
+from tofssm_drake.tasks.program import make_program_path
 
 # Ports of the receiver that are the station's, in order.
 _REPORTED = (

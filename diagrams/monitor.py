@@ -8,44 +8,45 @@ from pydrake.multibody.plant import MultibodyPlant
 from pydrake.systems.framework import Diagram, DiagramBuilder
 from pydrake.systems.primitives import Multiplexer
 
+from tofssm_drake.arms.cell_plant import make_twin_plant
+from tofssm_drake.arms.kinematics import RingKinematics
 from tofssm_drake.diagrams.scenario import (
     Scenario,
     find_dead_sensors,
     get_links,
     make_law,
 )
-from tofssm_drake.geometry.ray_caster import RayCaster
+from tofssm_drake.laws.dsi_filter import DsiFilter
+from tofssm_drake.laws.speed_fraction import SpeedFractionTrajectory
+from tofssm_drake.laws.tri_ssm import TriSsmState
 from tofssm_drake.messages import RINGS
-from tofssm_drake.robot.kinematics import RingKinematics
-from tofssm_drake.robot.products import ProductLayout
-from tofssm_drake.robot.program import make_program_path
-from tofssm_drake.robot.twin import TwinPoses, make_twin_plant
-from tofssm_drake.sensing.ideal_separation import IdealSeparation
-from tofssm_drake.sensing.lidar_mount import (
+from tofssm_drake.perception.ideal_separation import IdealSeparation
+from tofssm_drake.perception.lidar_mount import (
     make_base_lidar_bundle,
     scan_background,
 )
-from tofssm_drake.sensing.lidar_separation import LidarSeparation
-from tofssm_drake.sensing.occlusion_mask import (
+from tofssm_drake.perception.lidar_separation import LidarSeparation
+from tofssm_drake.perception.occlusion_mask import (
     OcclusionMask,
     make_mask_bundles,
     make_proof_bundles,
 )
-from tofssm_drake.sensing.ring_mount import find_ring_mount
-from tofssm_drake.sensing.self_hit_coverage import (
+from tofssm_drake.perception.self_hit_coverage import (
     calc_verifiable_share,
     tell_coverage,
 )
-from tofssm_drake.sensing.self_hit_watch import (
+from tofssm_drake.perception.self_hit_watch import (
     SelfHitModel,
     SelfHitStop,
     SelfHitWatch,
     make_self_hit_model,
 )
-from tofssm_drake.sensing.separation import TofSeparation, make_ring_geometry
-from tofssm_drake.ssm.dsi_filter import DsiFilter
-from tofssm_drake.ssm.speed_fraction import SpeedFractionTrajectory
-from tofssm_drake.ssm.tri_ssm import TriSsmState
+from tofssm_drake.perception.separation import TofSeparation, make_ring_geometry
+from tofssm_drake.perception.twin import TwinPoses
+from tofssm_drake.raycast.ray_caster import RayCaster
+from tofssm_drake.sensors.ring_mount import find_ring_mount
+from tofssm_drake.tasks.products import ProductLayout
+from tofssm_drake.tasks.program import make_program_path
 
 # Ports and their sizes, in the order of OcclusionMask's `robot_report`.
 _ROBOT_REPORT = {

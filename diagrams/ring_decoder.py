@@ -1,8 +1,8 @@
 """Makes the decoder for the frames of a scenario's real rings."""
 
 from tofssm_drake.diagrams.scenario import Scenario
-from tofssm_drake.hardware.ring_budget import RingBudget, calc_max_age
-from tofssm_drake.hardware.ring_receiver import RingDecoder, RingLinkConfig
+from tofssm_drake.ringlink.ring_budget import RingBudget, calc_max_age
+from tofssm_drake.ringlink.ring_receiver import RingDecoder, RingLinkConfig
 
 
 def make_ring_budget(

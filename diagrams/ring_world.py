@@ -19,20 +19,20 @@ from pydrake.systems.primitives import (
 )
 from pydrake.systems.rendering import MultibodyPositionToGeometryPose
 
+from tofssm_drake.arms.cell_plant import make_cell_plant
+from tofssm_drake.arms.kinematics import RingKinematics
 from tofssm_drake.diagrams.scenario import NoHuman, Scenario
-from tofssm_drake.geometry.ray_caster import RayCaster
-from tofssm_drake.human.avatar import HumanAvatar
-from tofssm_drake.human.bvh import BvhRecording, make_bvh_motion
-from tofssm_drake.human.walk import make_walk
 from tofssm_drake.messages import RINGS
-from tofssm_drake.robot.kinematics import RingKinematics
-from tofssm_drake.robot.products import ProductCarrier, ProductLayout
-from tofssm_drake.robot.twin import make_cell_plant
-from tofssm_drake.sensing.lidar_2d import Lidar2d
-from tofssm_drake.sensing.lidar_mount import make_base_lidar_bundle
-from tofssm_drake.sensing.ring_mount import find_ring_mount
-from tofssm_drake.sensing.tof_rings import TofRings, make_ring_bundles
-from tofssm_drake.sensing.vl53l1x import SensorErrors, draw_sensor_errors
+from tofssm_drake.people.avatar import HumanAvatar
+from tofssm_drake.people.bvh import BvhRecording, make_bvh_motion
+from tofssm_drake.people.walk import make_walk
+from tofssm_drake.perception.lidar_mount import make_base_lidar_bundle
+from tofssm_drake.raycast.ray_caster import RayCaster
+from tofssm_drake.sensors.lidar_2d import Lidar2d
+from tofssm_drake.sensors.ring_mount import find_ring_mount
+from tofssm_drake.sensors.tof_rings import TofRings, make_ring_bundles
+from tofssm_drake.sensors.vl53l1x import SensorErrors, draw_sensor_errors
+from tofssm_drake.tasks.products import ProductCarrier, ProductLayout
 
 # Noise is drawn for this many scans at a time.
 _NOISE_SCANS = 16

@@ -14,14 +14,14 @@ from tofssm_drake.diagrams.scenario import (
     make_law,
 )
 from tofssm_drake.diagrams.station import Station
-from tofssm_drake.evaluation.audit import make_audit_metadata
-from tofssm_drake.evaluation.samples import make_ring_metadata
-from tofssm_drake.human.skeleton import CAPSULES
 from tofssm_drake.messages import RINGS
-from tofssm_drake.sensing.lidar_separation import LIDAR
-from tofssm_drake.sensing.ring_mount import find_ring_mount
-from tofssm_drake.sensing.vl53l1x import calc_cast_range
-from tofssm_drake.ssm.standards import make_latency_budget
+from tofssm_drake.metrics.audit import make_audit_metadata
+from tofssm_drake.metrics.standards import make_latency_budget
+from tofssm_drake.people.skeleton import CAPSULES
+from tofssm_drake.perception.lidar_separation import LIDAR
+from tofssm_drake.recording.samples import make_ring_metadata
+from tofssm_drake.sensors.ring_mount import find_ring_mount
+from tofssm_drake.sensors.vl53l1x import calc_cast_range
 
 _PACKAGES = ("tofssm-drake", "drake", "numba", "numpy", "ruckig")
 

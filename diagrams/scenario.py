@@ -9,27 +9,30 @@ import numpy as np
 from pydrake.common.yaml import yaml_dump_typed, yaml_load_typed
 import yaml
 
+from tofssm_drake.arms.cell_plant import require_ring_model
+from tofssm_drake.arms.sim_ur10 import SimUr10Config
 from tofssm_drake.diagrams.yaml_check import (
     check_yaml,
     get_children,
     parse_yaml,
 )
 from tofssm_drake.errors import UserError, require
-from tofssm_drake.human.bvh import BvhRecording
-from tofssm_drake.human.walk import GeneratedWalk
+from tofssm_drake.laws.config import SsmConfig
 from tofssm_drake.messages import RINGS
-from tofssm_drake.robot.program import ProgramConfig
-from tofssm_drake.robot.sim_ur10 import SimUr10Config
-from tofssm_drake.robot.twin import require_ring_model
-from tofssm_drake.sensing.ideal_separation import IdealSeparationConfig
-from tofssm_drake.sensing.lidar_2d import Lidar2dConfig
-from tofssm_drake.sensing.lidar_separation import LIDAR, LidarSeparationConfig
-from tofssm_drake.sensing.occlusion_mask import OcclusionMaskConfig
-from tofssm_drake.sensing.self_hits import SelfHitConfig
-from tofssm_drake.sensing.separation import SeparationConfig
-from tofssm_drake.sensing.tof_rings import TofRingConfig
-from tofssm_drake.ssm.config import SsmConfig
-from tofssm_drake.ssm.standards import AuditConfig
+from tofssm_drake.metrics.standards import AuditConfig
+from tofssm_drake.people.bvh import BvhRecording
+from tofssm_drake.people.walk import GeneratedWalk
+from tofssm_drake.perception.ideal_separation import IdealSeparationConfig
+from tofssm_drake.perception.lidar_separation import (
+    LIDAR,
+    LidarSeparationConfig,
+)
+from tofssm_drake.perception.occlusion_mask import OcclusionMaskConfig
+from tofssm_drake.perception.self_hits import SelfHitConfig
+from tofssm_drake.perception.separation import SeparationConfig
+from tofssm_drake.sensors.lidar_2d import Lidar2dConfig
+from tofssm_drake.sensors.tof_rings import TofRingConfig
+from tofssm_drake.tasks.program import ProgramConfig
 
 SENSINGS = ("tof", "ideal", "lidar")
 

@@ -11,10 +11,10 @@ from pydrake.systems.analysis import Simulator
 
 from tofssm_drake.diagrams.ring_world import make_ring_world
 from tofssm_drake.diagrams.scenario import Scenario
-from tofssm_drake.hardware.ring_device import DeviceClock, make_frame
-from tofssm_drake.hardware.ring_fault_injection import FaultInjector, RingFault
-from tofssm_drake.hardware.ring_frame import RingFrame
 from tofssm_drake.messages import RINGS
+from tofssm_drake.ringlink.ring_device import DeviceClock, make_frame
+from tofssm_drake.ringlink.ring_fault_injection import FaultInjector, RingFault
+from tofssm_drake.ringlink.ring_frame import RingFrame
 
 # Longest extrapolation of the robot's motion from its last report, s: slightly
 # more than two of its control cycles; and backwards, if a busy computer wakes

@@ -8,7 +8,7 @@ from pydrake.systems.framework import Context, Diagram
 
 from tofssm_drake.diagrams.scenario import Scenario
 from tofssm_drake.diagrams.workcell import Workcell
-from tofssm_drake.evaluation.samples import Samples
+from tofssm_drake.recording.samples import Samples
 
 _TICKS_PER_STEP = 25
 

@@ -6,12 +6,12 @@ from pydrake.geometry import SceneGraph
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.systems.framework import Diagram, DiagramBuilder
 
+from tofssm_drake.arms.kinematics import RingKinematics
+from tofssm_drake.arms.sim_ur10 import make_sim_ur10
 from tofssm_drake.diagrams.ring_world import add_ring_world, make_scene
 from tofssm_drake.diagrams.scenario import Scenario
-from tofssm_drake.human.avatar import HumanAvatar
-from tofssm_drake.robot.kinematics import RingKinematics
-from tofssm_drake.robot.program import PickAndPlaceProgram
-from tofssm_drake.robot.sim_ur10 import make_sim_ur10
+from tofssm_drake.people.avatar import HumanAvatar
+from tofssm_drake.tasks.program import PickAndPlaceProgram
 
 
 @dc.dataclass(frozen=True, eq=False, kw_only=True)

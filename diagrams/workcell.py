@@ -12,16 +12,16 @@ from pydrake.geometry import (
 )
 from pydrake.systems.framework import Context, Diagram, DiagramBuilder
 
+from tofssm_drake.arms.kinematics import RingKinematics
 from tofssm_drake.diagrams.monitor import make_monitor
 from tofssm_drake.diagrams.run_metadata import make_run_metadata
 from tofssm_drake.diagrams.scenario import Scenario, get_links
 from tofssm_drake.diagrams.station import Station, make_station
-from tofssm_drake.evaluation.ground_truth import TruthModel
-from tofssm_drake.evaluation.recorder import SampleRecorder
 from tofssm_drake.messages import RINGS
-from tofssm_drake.robot.kinematics import RingKinematics
-from tofssm_drake.sensing.lidar_mount import make_lidar_kinematics
-from tofssm_drake.sensing.vl53l1x import calc_cast_range
+from tofssm_drake.metrics.ground_truth import TruthModel
+from tofssm_drake.perception.lidar_mount import make_lidar_kinematics
+from tofssm_drake.recording.recorder import SampleRecorder
+from tofssm_drake.sensors.vl53l1x import calc_cast_range
 from tofssm_drake.visualization.recording import FPS, set_scene
 from tofssm_drake.visualization.ring_rays import RingRays
 from tofssm_drake.visualization.state_light import StateLight

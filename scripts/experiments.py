@@ -33,7 +33,12 @@ from tofssm_drake.diagrams.scenario import (
     make_law,
 )
 from tofssm_drake.errors import require
-from tofssm_drake.evaluation.campaign import (
+from tofssm_drake.laws.config import CONFIGURATIONS
+from tofssm_drake.paper.campaign_report import write_campaign_report
+from tofssm_drake.people.bvh import BvhRecording, make_bvh_motion
+from tofssm_drake.scripts.cluster import call_all, connect
+import tofssm_drake.scripts.options as options
+from tofssm_drake.studies.campaign import (
     SENSINGS,
     VARIANTS,
     Plan,
@@ -48,11 +53,6 @@ from tofssm_drake.evaluation.campaign import (
     store_run,
     write_results,
 )
-from tofssm_drake.evaluation.campaign_report import write_campaign_report
-from tofssm_drake.human.bvh import BvhRecording, make_bvh_motion
-from tofssm_drake.scripts.cluster import call_all, connect
-import tofssm_drake.scripts.options as options
-from tofssm_drake.ssm.config import CONFIGURATIONS
 
 
 def experiments(

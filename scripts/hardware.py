@@ -11,11 +11,11 @@ import typer
 from tofssm_drake.diagrams.hardware_run import require_control_period
 from tofssm_drake.diagrams.scenario import NoHuman, load_scenario
 from tofssm_drake.errors import require
-from tofssm_drake.hardware.ring_address import (
+from tofssm_drake.ringlink.ring_address import (
     parse_ring_address,
     require_distinct,
 )
-from tofssm_drake.hardware.slider import SliderConfig
+from tofssm_drake.rtde.slider import SliderConfig
 from tofssm_drake.scripts.hardware_session import SessionSettings, run_session
 import tofssm_drake.scripts.options as options
 from tofssm_drake.scripts.simulate import override

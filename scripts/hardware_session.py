@@ -8,6 +8,7 @@ import time
 
 from rich.console import Console
 
+from tofssm_drake.arms.kinematics import RingKinematics
 from tofssm_drake.diagrams.hardware_loop import HardwareLoop, TickResult
 from tofssm_drake.diagrams.hardware_run import (
     HardwareRun,
@@ -23,17 +24,16 @@ from tofssm_drake.diagrams.ring_decoder import make_ring_decoder
 from tofssm_drake.diagrams.scenario import Scenario, dump_scenario
 from tofssm_drake.diagrams.simulation import Progress
 from tofssm_drake.errors import UserError
-from tofssm_drake.evaluation.report import count_of
-from tofssm_drake.hardware.model_match import describe_tool
-from tofssm_drake.hardware.ring_address import SerialAddress, UdpAddress
-from tofssm_drake.hardware.ring_link import RingLink
-from tofssm_drake.hardware.robot_checks import RobotChecks
-from tofssm_drake.hardware.robot_connection import RtdeStatus
-from tofssm_drake.hardware.rtde_client import RtdeClient
-from tofssm_drake.hardware.rtde_config import RtdeConfig
-from tofssm_drake.hardware.run_record import RunRecorder
-from tofssm_drake.hardware.slider import SliderConfig, find_operator_limit
-from tofssm_drake.robot.kinematics import RingKinematics
+from tofssm_drake.recording.run_record import RunRecorder
+from tofssm_drake.reports.report import count_of
+from tofssm_drake.ringlink.ring_address import SerialAddress, UdpAddress
+from tofssm_drake.ringlink.ring_link import RingLink
+from tofssm_drake.rtde.model_match import describe_tool
+from tofssm_drake.rtde.robot_checks import RobotChecks
+from tofssm_drake.rtde.robot_connection import RtdeStatus
+from tofssm_drake.rtde.rtde_client import RtdeClient
+from tofssm_drake.rtde.rtde_config import RtdeConfig
+from tofssm_drake.rtde.slider import SliderConfig, find_operator_limit
 from tofssm_drake.scripts.hardware_status import HardwareStatus
 from tofssm_drake.scripts.simulate import (
     catch_stop,

@@ -15,9 +15,9 @@ import time
 from typing import TextIO
 
 from tofssm_drake.diagrams.hardware_loop import TickResult
-from tofssm_drake.hardware.ring_link import RingConnection, RingLinkStatus
-from tofssm_drake.hardware.robot_connection import RobotConnection
 from tofssm_drake.messages import RINGS, RobotReport, RobotState
+from tofssm_drake.ringlink.ring_link import RingConnection, RingLinkStatus
+from tofssm_drake.rtde.robot_connection import RobotConnection
 
 # Between two updates, s.
 _PERIOD = 0.2

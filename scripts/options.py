@@ -10,8 +10,8 @@ import typer
 
 from tofssm_drake.diagrams.scenario import change_settings
 from tofssm_drake.errors import UserError, require
-from tofssm_drake.hardware.robot_checks import RobotChecks
-from tofssm_drake.hardware.rtde_config import RtdeConfig
+from tofssm_drake.rtde.robot_checks import RobotChecks
+from tofssm_drake.rtde.rtde_config import RtdeConfig
 
 
 def parse_path(text: str) -> Path:

@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from tofssm_drake.diagrams.hardware_replay import replay_record
-from tofssm_drake.hardware.run_record import RunReader
+from tofssm_drake.recording.run_record import RunReader
 import tofssm_drake.scripts.options as options
 
 

@@ -30,16 +30,16 @@ from tofssm_drake.diagrams.scenario import (
 from tofssm_drake.diagrams.simulation import Progress, Run
 from tofssm_drake.diagrams.workcell import Workcell, make_workcell
 from tofssm_drake.errors import UserError, require
-from tofssm_drake.evaluation.metrics import calc_summary
-from tofssm_drake.evaluation.report import count_of, write_report
-from tofssm_drake.evaluation.samples import (
+from tofssm_drake.laws.config import CONFIGURATIONS
+from tofssm_drake.metrics.metrics import calc_summary
+from tofssm_drake.people.bvh import BvhRecording
+from tofssm_drake.recording.samples import (
     Samples,
     write_atomically,
     write_samples,
 )
-from tofssm_drake.human.bvh import BvhRecording
+from tofssm_drake.reports.report import count_of, write_report
 import tofssm_drake.scripts.options as options
-from tofssm_drake.ssm.config import CONFIGURATIONS
 from tofssm_drake.visualization.recording import (
     start_recording,
     write_recording,

@@ -13,15 +13,15 @@ from tofssm_drake.diagrams.simulated_rings import (
     iterate_wake_times,
 )
 from tofssm_drake.errors import require
-from tofssm_drake.hardware.ring_address import UdpAddress, parse_ring_address
-from tofssm_drake.hardware.ring_device import (
+from tofssm_drake.messages import RINGS
+from tofssm_drake.ringlink.ring_address import UdpAddress, parse_ring_address
+from tofssm_drake.ringlink.ring_device import (
     DeviceClock,
     PtySender,
     UdpSender,
 )
-from tofssm_drake.hardware.ring_fault_injection import parse_ring_fault
-from tofssm_drake.hardware.rtde_client import RtdeClient
-from tofssm_drake.messages import RINGS
+from tofssm_drake.ringlink.ring_fault_injection import parse_ring_fault
+from tofssm_drake.rtde.rtde_client import RtdeClient
 import tofssm_drake.scripts.options as options
 from tofssm_drake.scripts.simulate import (
     catch_stop,

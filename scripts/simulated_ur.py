@@ -4,14 +4,14 @@ from typing import Annotated
 
 import typer
 
+from tofssm_drake.arms.cell_plant import make_cell_plant
+from tofssm_drake.arms.kinematics import RingKinematics
 from tofssm_drake.errors import require
-from tofssm_drake.hardware.rtde_server import Faults, RtdeServer
-from tofssm_drake.hardware.simulated_ur import SimulatedUr, SimulatedUrConfig
-from tofssm_drake.robot.kinematics import RingKinematics
-from tofssm_drake.robot.program import make_program_path
-from tofssm_drake.robot.twin import make_cell_plant
+from tofssm_drake.rtde.rtde_server import Faults, RtdeServer
+from tofssm_drake.rtde.simulated_ur import SimulatedUr, SimulatedUrConfig
 import tofssm_drake.scripts.options as options
 from tofssm_drake.scripts.simulate import catch_stop, interrupt_on_stop
+from tofssm_drake.tasks.program import make_program_path
 
 # Option by setting.
 _OPTIONS = {

@@ -10,8 +10,8 @@ settings.load_profile("tofssm")
 
 # These compare with others' software, which comes with the extra `peers`.
 _OF_PEERS = {
-    "mujoco": "geometry/test_ray_peers.py",
-    "rtde_receive": "hardware/test_ur_rtde.py",
+    "mujoco": "raycast/test_ray_peers.py",
+    "rtde_receive": "rtde/test_ur_rtde.py",
 }
 collect_ignore = [
     path

@@ -151,7 +151,7 @@ def test_finds(source):
         "import gc\ngc.collect()",
         "import sys\nsys.__stdout__",
         "class A:\n    def f(self):\n        return self._x",
-        "from tofssm_drake.hardware import _x\n_x._y",
+        "from tofssm_drake.rtde import _x\n_x._y",
         "import numba\nnumba.njit(abs).py_func",
     ],
 )

@@ -11,7 +11,7 @@ import pytest
 from tofssm_drake.diagrams.scenario import dump_scenario, load_scenario
 from tofssm_drake.diagrams.simulation import Run
 from tofssm_drake.diagrams.workcell import make_workcell
-from tofssm_drake.evaluation.metrics import calc_summary
+from tofssm_drake.metrics.metrics import calc_summary
 
 
 @dc.dataclass(frozen=True, kw_only=True)

@@ -10,9 +10,9 @@ from lockstep import Cell
 import numpy as np
 import pytest
 
-from tofssm_drake.hardware.ring_frame import SEQUENCE_BITS, TIME_BITS
 from tofssm_drake.messages import RINGS
-from tofssm_drake.sensing.vl53l1x import STATUS_NO_NEW_DATA
+from tofssm_drake.ringlink.ring_frame import SEQUENCE_BITS, TIME_BITS
+from tofssm_drake.sensors.vl53l1x import STATUS_NO_NEW_DATA
 
 _NO_AGE = 255
 _STEP_MS = 12

@@ -15,14 +15,14 @@ from tofssm_drake.diagrams.scenario import (
     load_scenario,
     make_law,
 )
-from tofssm_drake.evaluation.campaign import (
+from tofssm_drake.laws.config import CONFIGURATIONS
+from tofssm_drake.studies.campaign import (
     SENSINGS,
     VARIANTS,
     Cell,
     PlannedRun,
     make_trial,
 )
-from tofssm_drake.ssm.config import CONFIGURATIONS
 
 
 def make_run(sensing="tof", configuration="vo", variant="", number=1):

@@ -6,12 +6,12 @@ from monitor_rig import PERIOD, SIGNAL_FAIL, TICK, VALID, Rig
 import numpy as np
 import pytest
 
+from tofssm_drake.arms.kinematics import RingKinematics
 from tofssm_drake.diagrams.monitor import make_monitor
 from tofssm_drake.diagrams.scenario import load_scenario
 from tofssm_drake.diagrams.station import make_station
 from tofssm_drake.messages import RINGS, Reading, RobotState
-from tofssm_drake.robot.kinematics import RingKinematics
-from tofssm_drake.robot.program import make_program_path
+from tofssm_drake.tasks.program import make_program_path
 
 # The rings of these tests do not see the robot where they must.
 NO_WATCH = "self_hits: {enabled: false}"

@@ -10,9 +10,9 @@ import unittest
 from lockstep import CYCLE, Cell
 
 from tofssm_drake.errors import UserError
-from tofssm_drake.hardware.rtde_fields import RuntimeState, SafetyMode
-from tofssm_drake.hardware.slider import SliderPhase
 from tofssm_drake.messages import RobotState
+from tofssm_drake.rtde.rtde_fields import RuntimeState, SafetyMode
+from tofssm_drake.rtde.slider import SliderPhase
 
 
 class TestFaults(unittest.TestCase):

@@ -8,6 +8,7 @@ from unittest import mock
 
 import numpy as np
 
+from tofssm_drake.arms.kinematics import RingKinematics
 from tofssm_drake.diagrams.hardware_loop import (
     HardwareLoop,
     TickInput,
@@ -15,12 +16,6 @@ from tofssm_drake.diagrams.hardware_loop import (
 )
 from tofssm_drake.diagrams.hardware_run import HardwareRun
 from tofssm_drake.diagrams.scenario import load_scenario
-from tofssm_drake.hardware.rtde_fields import (
-    RobotMode,
-    RuntimeState,
-    SafetyMode,
-)
-from tofssm_drake.hardware.slider import SliderPhase
 from tofssm_drake.messages import (
     RINGS,
     RingHealth,
@@ -28,8 +23,13 @@ from tofssm_drake.messages import (
     RobotReport,
     make_empty_separation,
 )
-from tofssm_drake.robot.kinematics import RingKinematics
-from tofssm_drake.robot.program import make_program_path
+from tofssm_drake.rtde.rtde_fields import (
+    RobotMode,
+    RuntimeState,
+    SafetyMode,
+)
+from tofssm_drake.rtde.slider import SliderPhase
+from tofssm_drake.tasks.program import make_program_path
 
 _HOST = 900.0
 """Host's time when the Diagram's is 0, s."""

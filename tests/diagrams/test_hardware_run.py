@@ -7,11 +7,11 @@ from unittest import mock
 
 import numpy as np
 
+from tofssm_drake.arms.cell_plant import make_cell_plant
 from tofssm_drake.diagrams import hardware_run as mut
 from tofssm_drake.errors import UserError
-from tofssm_drake.hardware.robot_connection import LoopbackConnection
 from tofssm_drake.messages import RobotReport
-from tofssm_drake.robot.twin import make_cell_plant
+from tofssm_drake.rtde.robot_connection import LoopbackConnection
 
 
 class Scheduler:

@@ -1,9 +1,9 @@
 import unittest
 
 from tofssm_drake.diagrams.hardware_station import make_hardware_station
+from tofssm_drake.diagrams.held_connections import HeldRings, HeldRobot
 from tofssm_drake.diagrams.scenario import load_scenario
 from tofssm_drake.diagrams.station import make_station
-from tofssm_drake.hardware.held_connections import HeldRings, HeldRobot
 
 
 def describe_ports(diagram):

@@ -4,11 +4,11 @@ import importlib.metadata
 
 from pydrake.geometry import Mesh, Role
 
+import tofssm_drake.arms.meshes as meshes
 from tofssm_drake.diagrams.scenario import load_scenario
 from tofssm_drake.diagrams.simulation import Run
 from tofssm_drake.diagrams.station import make_station
 from tofssm_drake.diagrams.workcell import make_workcell
-import tofssm_drake.robot.meshes as meshes
 import tofssm_drake.scripts.main as main
 
 

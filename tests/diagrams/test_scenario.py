@@ -7,8 +7,8 @@ import yaml
 
 import tofssm_drake.diagrams.scenario as mut
 from tofssm_drake.errors import UserError
-from tofssm_drake.human.bvh import BvhRecording
-from tofssm_drake.human.walk import GeneratedWalk
+from tofssm_drake.people.bvh import BvhRecording
+from tofssm_drake.people.walk import GeneratedWalk
 from tofssm_drake.scripts.simulate import override
 
 _FILE = """

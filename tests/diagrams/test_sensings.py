@@ -21,11 +21,11 @@ from tofssm_drake.diagrams.scenario import (
 from tofssm_drake.diagrams.simulation import Run
 from tofssm_drake.diagrams.workcell import make_workcell
 from tofssm_drake.errors import UserError
-from tofssm_drake.evaluation.audit import calc_audit
-from tofssm_drake.evaluation.metrics import calc_summary
-from tofssm_drake.evaluation.report import make_report
-from tofssm_drake.evaluation.run_metrics import calc_run_metrics
 from tofssm_drake.messages import RINGS, RobotState
+from tofssm_drake.metrics.audit import calc_audit
+from tofssm_drake.metrics.metrics import calc_summary
+from tofssm_drake.metrics.run_metrics import calc_run_metrics
+from tofssm_drake.reports.report import make_report
 
 JOINTS = {"position_measured", "velocity_measured"}
 SEEN = {"ideal": "skeleton", "lidar": "scan_lidar"}

@@ -6,12 +6,12 @@ import numpy as np
 
 from tofssm_drake.diagrams.scenario import load_scenario
 import tofssm_drake.diagrams.simulated_rings as mut
-from tofssm_drake.hardware.ring_device import DeviceClock
-from tofssm_drake.hardware.ring_fault_injection import parse_ring_fault
-from tofssm_drake.hardware.ring_frame import encode_frame
-from tofssm_drake.hardware.ring_link import LoopbackRingLink
-from tofssm_drake.hardware.ring_receiver import RingDecoder, RingLinkConfig
 from tofssm_drake.messages import RINGS
+from tofssm_drake.ringlink.ring_device import DeviceClock
+from tofssm_drake.ringlink.ring_fault_injection import parse_ring_fault
+from tofssm_drake.ringlink.ring_frame import encode_frame
+from tofssm_drake.ringlink.ring_link import LoopbackRingLink
+from tofssm_drake.ringlink.ring_receiver import RingDecoder, RingLinkConfig
 
 _HOST = 900.0
 """Host's time when the world's is 0, s."""

@@ -8,7 +8,7 @@ import pytest
 from tofssm_drake.diagrams.scenario import load_scenario
 from tofssm_drake.diagrams.simulation import Run
 from tofssm_drake.diagrams.workcell import make_workcell
-from tofssm_drake.evaluation.samples import read_samples, write_samples
+from tofssm_drake.recording.samples import read_samples, write_samples
 
 # The person starts close by, so that the rings have something to measure.
 _TEXT = """

@@ -11,40 +11,40 @@ from pydrake.systems.framework import Diagram, LeafSystem
 import yaml
 
 import tofssm_drake
+from tofssm_drake.arms.kinematics import RingKinematics
+import tofssm_drake.arms.sim_ur10 as sim_ur10
 from tofssm_drake.diagrams.hardware_station import make_hardware_station
+from tofssm_drake.diagrams.held_connections import HeldRobot
 from tofssm_drake.diagrams.monitor import make_monitor
 from tofssm_drake.diagrams.ring_world import make_ring_world
 from tofssm_drake.diagrams.scenario import load_scenario
 from tofssm_drake.diagrams.station import make_station
 from tofssm_drake.diagrams.workcell import make_workcell
-from tofssm_drake.evaluation.ground_truth import GroundTruth, TruthModel
-from tofssm_drake.geometry.ray_caster import RayCaster
-from tofssm_drake.geometry.ray_caster_sensor import RayCasterSensor
-from tofssm_drake.hardware.held_connections import HeldRobot
-from tofssm_drake.hardware.ring_link import NullRingLink
-from tofssm_drake.hardware.ring_receiver import RingDecoder, RingLinkConfig
-from tofssm_drake.hardware.ring_systems import (
-    RingInterfaceSystem,
-    RingSubscriberSystem,
-)
-from tofssm_drake.hardware.robot_connection import NullConnection
-import tofssm_drake.hardware.rtde_systems as rtde_systems
-from tofssm_drake.robot.kinematics import RingKinematics
-import tofssm_drake.robot.sim_ur10 as sim_ur10
-from tofssm_drake.sensing.ideal_separation import (
+from tofssm_drake.laws.sensing_problem import SensingProblem
+from tofssm_drake.metrics.ground_truth import GroundTruth, TruthModel
+from tofssm_drake.perception.ideal_separation import (
     IdealSeparation,
     IdealSeparationConfig,
 )
-from tofssm_drake.sensing.lidar_2d import (
+from tofssm_drake.perception.lidar_separation import (
+    LidarSeparation,
+    LidarSeparationConfig,
+)
+from tofssm_drake.raycast.ray_caster import RayCaster
+from tofssm_drake.raycast.ray_caster_sensor import RayCasterSensor
+from tofssm_drake.ringlink.ring_link import NullRingLink
+from tofssm_drake.ringlink.ring_receiver import RingDecoder, RingLinkConfig
+from tofssm_drake.ringlink.ring_systems import (
+    RingInterfaceSystem,
+    RingSubscriberSystem,
+)
+from tofssm_drake.rtde.robot_connection import NullConnection
+import tofssm_drake.rtde.rtde_systems as rtde_systems
+from tofssm_drake.sensors.lidar_2d import (
     Lidar2d,
     Lidar2dConfig,
     make_lidar_bundle,
 )
-from tofssm_drake.sensing.lidar_separation import (
-    LidarSeparation,
-    LidarSeparationConfig,
-)
-from tofssm_drake.ssm.sensing_problem import SensingProblem
 
 _MARKER = ".. pydrake_system::"
 

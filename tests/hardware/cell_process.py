@@ -16,10 +16,10 @@ import time
 
 from robot_process import find_free_host
 
-from tofssm_drake.hardware.rtde_client import RtdeClient
-from tofssm_drake.hardware.rtde_config import RtdeConfig
-from tofssm_drake.hardware.rtde_fields import RuntimeState
 from tofssm_drake.messages import RobotReport
+from tofssm_drake.rtde.rtde_client import RtdeClient
+from tofssm_drake.rtde.rtde_config import RtdeConfig
+from tofssm_drake.rtde.rtde_fields import RuntimeState
 
 NOBODY = "{human: !NoHuman {}}"
 _MAIN = ("-m", "tofssm_drake.scripts.main")

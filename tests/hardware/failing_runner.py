@@ -6,8 +6,8 @@ failing_runner.py FILE hardware ...
 from pathlib import Path
 import sys
 
+from tofssm_drake.laws import tri_ssm
 from tofssm_drake.scripts.main import run
-from tofssm_drake.ssm import tri_ssm
 
 
 def main():

@@ -17,16 +17,16 @@ from lockstep import CYCLE, Cell, Times, Visitor
 import numpy as np
 from pydrake.math import RigidTransform, RotationMatrix
 
-from tofssm_drake.hardware.ring_fault_injection import FAULTS
-from tofssm_drake.hardware.ring_frame import (
+from tofssm_drake.messages import RINGS
+from tofssm_drake.ringlink.ring_fault_injection import FAULTS
+from tofssm_drake.ringlink.ring_frame import (
     FLAG_RESTARTED,
     SEQUENCE_BITS,
     TIME_BITS,
 )
-from tofssm_drake.hardware.rtde_fields import SafetyMode
-from tofssm_drake.messages import RINGS
-from tofssm_drake.sensing import ring_mount
-from tofssm_drake.sensing.vl53l1x import STATUS_VALID
+from tofssm_drake.rtde.rtde_fields import SafetyMode
+from tofssm_drake.sensors import ring_mount
+from tofssm_drake.sensors.vl53l1x import STATUS_VALID
 
 # Who sees the person: a sensor that sees nothing of robot and cell meanwhile.
 RING, SENSOR = "tool", 0

@@ -36,14 +36,14 @@ from tofssm_drake.diagrams.simulated_rings import (
     SimulatedRings,
     iterate_wake_times,
 )
-from tofssm_drake.hardware.ring_address import parse_ring_address
-from tofssm_drake.hardware.ring_device import UdpSender
-from tofssm_drake.hardware.ring_fault_injection import (
+from tofssm_drake.messages import RINGS
+from tofssm_drake.ringlink.ring_address import parse_ring_address
+from tofssm_drake.ringlink.ring_device import UdpSender
+from tofssm_drake.ringlink.ring_fault_injection import (
     FAULTS,
     FaultInjector,
     RingFault,
 )
-from tofssm_drake.messages import RINGS
 
 _TIMES = 3
 # Faults of a whole ring that alone stop the robot.

@@ -2,9 +2,9 @@
 
 import sys
 
-from tofssm_drake.hardware.rtde_client import RtdeClient
-from tofssm_drake.hardware.rtde_config import RtdeConfig
 from tofssm_drake.messages import SliderCommand
+from tofssm_drake.rtde.rtde_client import RtdeClient
+from tofssm_drake.rtde.rtde_config import RtdeConfig
 
 
 def main():

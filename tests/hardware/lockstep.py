@@ -13,6 +13,7 @@ from unittest import mock
 import numpy as np
 from robot_room import make_kinematics, make_robot
 
+from tofssm_drake.arms.cell_plant import make_cell_plant
 from tofssm_drake.diagrams import ring_world
 from tofssm_drake.diagrams.hardware_loop import HardwareLoop
 from tofssm_drake.diagrams.hardware_run import HardwareRun, JointLimits
@@ -23,26 +24,25 @@ from tofssm_drake.diagrams.simulated_rings import (
     iterate_wake_times,
 )
 from tofssm_drake.errors import UserError
-from tofssm_drake.hardware.ring_fault_injection import (
-    FaultInjector,
-    RingFault,
-    damage,
-)
-from tofssm_drake.hardware.ring_frame import encode_frame
-from tofssm_drake.hardware.ring_link import LoopbackRingLink
-from tofssm_drake.hardware.robot_connection import RtdeStatus
-from tofssm_drake.hardware.rtde_protocol import Recipe, RtdeError
-from tofssm_drake.hardware.rtde_report import ReportMaker, list_outputs
-from tofssm_drake.hardware.simulated_ur import SimulatedUr
-from tofssm_drake.hardware.slider import SliderPhase
 from tofssm_drake.messages import (
     RINGS,
     RobotReport,
     RobotState,
     SliderCommand,
 )
-from tofssm_drake.robot.twin import make_cell_plant
-from tofssm_drake.sensing.vl53l1x import STATUS_VALID
+from tofssm_drake.ringlink.ring_fault_injection import (
+    FaultInjector,
+    RingFault,
+    damage,
+)
+from tofssm_drake.ringlink.ring_frame import encode_frame
+from tofssm_drake.ringlink.ring_link import LoopbackRingLink
+from tofssm_drake.rtde.robot_connection import RtdeStatus
+from tofssm_drake.rtde.rtde_protocol import Recipe, RtdeError
+from tofssm_drake.rtde.rtde_report import ReportMaker, list_outputs
+from tofssm_drake.rtde.simulated_ur import SimulatedUr
+from tofssm_drake.rtde.slider import SliderPhase
+from tofssm_drake.sensors.vl53l1x import STATUS_VALID
 
 CYCLE = 0.008
 # Host's time at the beginning, s.

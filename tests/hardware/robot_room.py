@@ -4,11 +4,11 @@ import contextlib
 import functools
 import threading
 
-from tofssm_drake.hardware.rtde_server import Faults, RtdeServer
-from tofssm_drake.hardware.simulated_ur import SimulatedUr, SimulatedUrConfig
-from tofssm_drake.robot.kinematics import RingKinematics
-from tofssm_drake.robot.program import ProgramConfig, make_program_path
-from tofssm_drake.robot.twin import make_cell_plant
+from tofssm_drake.arms.cell_plant import make_cell_plant
+from tofssm_drake.arms.kinematics import RingKinematics
+from tofssm_drake.rtde.rtde_server import Faults, RtdeServer
+from tofssm_drake.rtde.simulated_ur import SimulatedUr, SimulatedUrConfig
+from tofssm_drake.tasks.program import ProgramConfig, make_program_path
 
 
 @functools.cache

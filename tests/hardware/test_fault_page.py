@@ -5,7 +5,7 @@ import re
 
 from fault_rows import ROWS
 
-from tofssm_drake.hardware.ring_fault_injection import FAULTS, SENSOR_FAULTS
+from tofssm_drake.ringlink.ring_fault_injection import FAULTS, SENSOR_FAULTS
 
 _PAGE = pathlib.Path(__file__).parents[2] / "docs" / "faults.md"
 

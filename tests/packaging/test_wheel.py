@@ -17,7 +17,7 @@ import importlib.resources
 import sys
 import tofssm_drake.scripts.main
 from tofssm_drake.diagrams.scenario import load_scenario, list_scenarios
-from tofssm_drake.robot.twin import make_cell_plant
+from tofssm_drake.arms.cell_plant import make_cell_plant
 from pydrake.geometry import SceneGraph
 
 assert tofssm_drake.__file__.startswith(sys.argv[1]), tofssm_drake.__file__
@@ -32,7 +32,7 @@ for sensors in (8, 16):
     print(plant.num_bodies(), plant.num_positions())
 assert tofssm_drake.scripts.main.run(["simulate", "--help"]) == 0
 assert tofssm_drake.scripts.main.run(["simulated-ur", "--help"]) == 0
-watchdog = importlib.resources.files("tofssm_drake.hardware")
+watchdog = importlib.resources.files("tofssm_drake.rtde")
 assert (watchdog / "tofssm_watchdog.script").is_file()
 """
 

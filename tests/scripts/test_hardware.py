@@ -19,29 +19,29 @@ from mcap.reader import make_reader
 import numpy as np
 from robot_room import make_robot, serve
 
+from tofssm_drake.arms.cell_plant import make_cell_plant
+from tofssm_drake.arms.kinematics import RingKinematics
 from tofssm_drake.diagrams import hardware_run
 from tofssm_drake.diagrams.hardware_loop import HardwareLoop
 from tofssm_drake.diagrams.hardware_run import require_ready
 from tofssm_drake.diagrams.scenario import load_scenario
 from tofssm_drake.errors import UserError
-from tofssm_drake.hardware import rtde_systems
-from tofssm_drake.hardware.model_match import make_pose
-from tofssm_drake.hardware.ring_link import RingLink
-from tofssm_drake.hardware.rtde_client import RtdeClient
-from tofssm_drake.hardware.rtde_fields import SafetyMode
-from tofssm_drake.hardware.rtde_protocol import PackageType
-from tofssm_drake.hardware.run_record import RunReader
-from tofssm_drake.hardware.simulated_ur import (
+from tofssm_drake.laws import sensing_problem, tri_ssm
+from tofssm_drake.messages import RobotReport
+from tofssm_drake.recording.run_record import RunReader
+from tofssm_drake.ringlink.ring_link import RingLink
+from tofssm_drake.rtde import rtde_systems
+from tofssm_drake.rtde.model_match import make_pose
+from tofssm_drake.rtde.rtde_client import RtdeClient
+from tofssm_drake.rtde.rtde_fields import SafetyMode
+from tofssm_drake.rtde.rtde_protocol import PackageType
+from tofssm_drake.rtde.simulated_ur import (
     calc_tcp_offset,
     calc_tool_motion,
 )
-from tofssm_drake.messages import RobotReport
-from tofssm_drake.robot.kinematics import RingKinematics
-from tofssm_drake.robot.program import make_program_path
-from tofssm_drake.robot.twin import make_cell_plant
 import tofssm_drake.scripts.hardware_status as hardware_status
 from tofssm_drake.scripts.main import run
-from tofssm_drake.ssm import sensing_problem, tri_ssm
+from tofssm_drake.tasks.program import make_program_path
 
 _NOBODY = "{program: {products: 2}, human: !NoHuman {}}"
 

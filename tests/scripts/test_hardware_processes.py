@@ -16,15 +16,15 @@ import unittest
 from cell_process import PATIENT, CellProcess, Program
 from mcap.reader import make_reader
 
-from tofssm_drake.hardware.rtde_fields import (
+from tofssm_drake.messages import RobotState
+from tofssm_drake.recording.run_record import RunReader
+from tofssm_drake.rtde.rtde_fields import (
     ECHOED_TYPES,
     OUTPUT_TYPES,
     RuntimeState,
 )
-from tofssm_drake.hardware.rtde_protocol import PackageType, Recipe
-from tofssm_drake.hardware.rtde_report import list_outputs
-from tofssm_drake.hardware.run_record import RunReader
-from tofssm_drake.messages import RobotState
+from tofssm_drake.rtde.rtde_protocol import PackageType, Recipe
+from tofssm_drake.rtde.rtde_report import list_outputs
 
 
 class TestRings(unittest.TestCase):

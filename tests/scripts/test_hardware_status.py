@@ -7,12 +7,12 @@ import unittest
 
 import numpy as np
 
-from tofssm_drake.hardware.ring_budget import LinkFigures
-from tofssm_drake.hardware.ring_link import RingLinkStatus
-from tofssm_drake.hardware.ring_receiver import RingCounts
-from tofssm_drake.hardware.robot_connection import LoopbackConnection
-from tofssm_drake.hardware.slider import SliderPhase, SliderState
 from tofssm_drake.messages import RINGS, RobotReport, RobotState
+from tofssm_drake.ringlink.ring_budget import LinkFigures
+from tofssm_drake.ringlink.ring_link import RingLinkStatus
+from tofssm_drake.ringlink.ring_receiver import RingCounts
+from tofssm_drake.rtde.robot_connection import LoopbackConnection
+from tofssm_drake.rtde.slider import SliderPhase, SliderState
 import tofssm_drake.scripts.hardware_status as mut
 
 

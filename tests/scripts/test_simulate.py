@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 
 import tofssm_drake.diagrams.simulation as simulation
-from tofssm_drake.evaluation.samples import read_samples
 from tofssm_drake.messages import RINGS
+from tofssm_drake.recording.samples import read_samples
 import tofssm_drake.scripts.main as mut
 import tofssm_drake.scripts.simulate as simulate
 

@@ -12,10 +12,10 @@ import unittest
 
 import pytest
 
-from tofssm_drake.hardware.ring_address import parse_ring_address
-from tofssm_drake.hardware.ring_link import RingLink, explain_silence
-from tofssm_drake.hardware.ring_receiver import RingDecoder, RingLinkConfig
 from tofssm_drake.messages import RINGS
+from tofssm_drake.ringlink.ring_address import parse_ring_address
+from tofssm_drake.ringlink.ring_link import RingLink, explain_silence
+from tofssm_drake.ringlink.ring_receiver import RingDecoder, RingLinkConfig
 from tofssm_drake.scripts.main import run
 
 

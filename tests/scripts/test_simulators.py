@@ -8,10 +8,10 @@ import time
 import unittest
 from unittest import mock
 
-from tofssm_drake.hardware.robot_connection import RtdeStatus
-from tofssm_drake.hardware.rtde_client import RtdeClient
-from tofssm_drake.hardware.simulated_ur import SimulatedUr
 from tofssm_drake.messages import RobotReport
+from tofssm_drake.rtde.robot_connection import RtdeStatus
+from tofssm_drake.rtde.rtde_client import RtdeClient
+from tofssm_drake.rtde.simulated_ur import SimulatedUr
 from tofssm_drake.scripts import simulated_rings
 from tofssm_drake.scripts.main import run
 

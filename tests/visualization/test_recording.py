@@ -11,7 +11,7 @@ import numpy as np
 from pydrake.geometry import Meshcat, Rgba, Sphere
 
 from tofssm_drake.errors import UserError
-from tofssm_drake.evaluation.samples import Samples
+from tofssm_drake.recording.samples import Samples
 import tofssm_drake.visualization.recording as mut
 
 PAGE = """<html><head><title>Drake MeshCat</title></head>

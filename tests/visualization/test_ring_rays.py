@@ -5,8 +5,8 @@ import numpy as np
 from pydrake.common.value import Value
 from pydrake.systems.analysis import Simulator
 
+from tofssm_drake.arms.cell_plant import make_cell_plant
 from tofssm_drake.messages import RINGS, MaskedScan, Reading, RingScan
-from tofssm_drake.robot.twin import make_cell_plant
 import tofssm_drake.visualization.ring_rays as mut
 
 Q = np.array([0.3, -1.2, 1.1, -1.4, -1.6, 0.2])

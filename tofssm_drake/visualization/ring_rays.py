@@ -7,8 +7,8 @@ from pydrake.math import RigidTransform, RotationMatrix
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.systems.framework import LeafSystem
 
+from tofssm_drake.arms.kinematics import RingKinematics
 from tofssm_drake.messages import RINGS, MaskedScan, Reading
-from tofssm_drake.robot.kinematics import RingKinematics
 from tofssm_drake.visualization import palette
 from tofssm_drake.visualization.animated import AnimatedProperty
 

@@ -1,0 +1,145 @@
+import functools
+import unittest
+
+import numpy as np
+from pydrake.systems.analysis import Simulator
+from pydrake.systems.framework import DiagramBuilder
+from pydrake.systems.primitives import ConstantVectorSource, LogVectorOutput
+
+from tofssm_drake.arms.cell_plant import make_cell_plant
+from tofssm_drake.arms.kinematics import RingKinematics
+import tofssm_drake.arms.sim_ur10 as mut
+from tofssm_drake.errors import UserError
+from tofssm_drake.tasks.program import PickAndPlaceProgram, ProgramConfig
+
+LIMIT = np.array([330, 330, 150, 56, 56, 56])
+
+
+@functools.cache
+def make_kinematics():
+    return RingKinematics.from_plant(make_cell_plant())
+
+
+@functools.cache
+def make_robot():
+    return mut.make_sim_ur10(
+        config=mut.SimUr10Config(), initial_position=np.zeros(6)
+    )[0]
+
+
+def run(duration, *, time_step=0.004, fraction=1.0):
+    """Returns logs of position commanded, measured, velocity, torque."""
+    builder = DiagramBuilder()
+    program = builder.AddSystem(
+        PickAndPlaceProgram(
+            config=ProgramConfig(), kinematics=make_kinematics()
+        )
+    )
+    robot, _ = mut.make_sim_ur10(
+        config=mut.SimUr10Config(time_step=time_step),
+        initial_position=program.path.calc_motion(0.0)[0],
+    )
+    builder.AddSystem(robot)
+    source = builder.AddSystem(ConstantVectorSource([fraction]))
+    builder.Connect(source.get_output_port(), program.get_input_port())
+    builder.Connect(
+        program.GetOutputPort("motion_commanded"),
+        robot.GetInputPort("motion_commanded"),
+    )
+    logs = [
+        LogVectorOutput(robot.GetOutputPort(name), builder, 0.008)
+        for name in (
+            "position_commanded",
+            "position_measured",
+            "velocity_measured",
+            "torque_commanded",
+        )
+    ]
+    simulator = Simulator(builder.Build())
+    simulator.AdvanceTo(duration)
+    context = simulator.get_context()
+    return [log.FindLog(context).data().T.copy() for log in logs]
+
+
+class TestSimUr10(unittest.TestCase):
+    def test_ports(self):
+        dut = make_robot()
+        self.assertEqual(dut.get_input_port(0).get_name(), "motion_commanded")
+        self.assertEqual(dut.num_input_ports(), 1)
+        self.assertEqual(
+            [
+                dut.get_output_port(i).get_name()
+                for i in range(dut.num_output_ports())
+            ],
+            [
+                "position_commanded",
+                "position_measured",
+                "velocity_measured",
+                "torque_commanded",
+                "body_poses",
+                "body_spatial_velocities",
+            ],
+        )
+        for name in ("position_measured", "velocity_measured", "body_poses"):
+            self.assertFalse(
+                dut.HasDirectFeedthrough(dut.GetOutputPort(name).get_index())
+            )
+
+    def test_no_continuous_state(self):
+        """A discrete plant alone needs no integrator."""
+        dut = make_robot()
+        context = dut.CreateDefaultContext()
+        self.assertFalse(context.has_only_continuous_state())
+        self.assertEqual(context.num_continuous_states(), 0)
+
+    def test_tracks_the_task(self):
+        """Checks one product, with both time steps: the tool stays within
+        0.3 mm of where it should be, well under the torque limits."""
+        for time_step in (0.004, 0.008):
+            commanded, measured, velocity, torque = run(
+                4.6, time_step=time_step
+            )
+            kinematics = make_kinematics()
+            error = [
+                np.linalg.norm(
+                    kinematics.calc_tcp_pose(a)[:, 3]
+                    - kinematics.calc_tcp_pose(b)[:, 3]
+                )
+                for a, b in zip(commanded, measured, strict=True)
+            ]
+            self.assertLess(max(error), 0.0003)
+            speed = [
+                np.linalg.norm(kinematics.calc_sites(q, qd)[1][-1])
+                for q, qd in zip(measured, velocity, strict=True)
+            ]
+            self.assertAlmostEqual(max(speed), 1.7, delta=0.005)
+            self.assertLess((np.abs(torque) / LIMIT).max(), 0.8)
+
+    def test_stands_still(self):
+        commanded, measured, velocity, _ = run(0.2, fraction=0.0)
+        np.testing.assert_allclose(measured, commanded, atol=1e-9)
+        np.testing.assert_allclose(velocity, 0, atol=1e-9)
+
+    def test_repeats_exactly(self):
+        first, second = run(0.5), run(0.5)
+        for a, b in zip(first, second, strict=True):
+            np.testing.assert_array_equal(a, b)
+
+    def test_torque_is_limited(self):
+        """A wild command gets no more than the motors have."""
+        dut = make_robot()
+        context = dut.CreateDefaultContext()
+        wild = np.concatenate([np.full(6, 3.0), np.zeros(12)])
+        dut.GetInputPort("motion_commanded").FixValue(context, wild)
+        torque = dut.GetOutputPort("torque_commanded").Eval(context)
+        self.assertTrue(np.all(np.abs(torque) <= LIMIT))
+        self.assertEqual(torque[0], 330)
+
+    def test_wrong_settings_are_named(self):
+        for settings, name in (
+            ({"time_step": 0.0}, "time_step"),
+            ({"time_step": 0.02}, "time_step"),
+            ({"stiffness": 1000.0}, "stiffness"),
+        ):
+            with self.assertRaisesRegex(UserError, rf"robot\.{name}: "):
+                mut.SimUr10Config(**settings).check("robot")

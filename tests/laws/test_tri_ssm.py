@@ -1,0 +1,266 @@
+import dataclasses as dc
+import unittest
+
+from hypothesis import given
+from hypothesis import strategies as st
+import numpy as np
+from pydrake.common.value import Value
+
+from tofssm_drake.errors import UserError
+from tofssm_drake.laws.config import SsmConfig
+import tofssm_drake.laws.tri_ssm as mut
+from tofssm_drake.messages import (
+    RINGS,
+    RingHealth,
+    RobotState,
+    SafetyIndex,
+    make_empty_safety_index,
+)
+
+# Thresholds of all at rest, "vo", psi = 2.
+D_C, D_R = 0.665, 0.995
+
+
+def make_index(
+    *,
+    distance=(np.inf, np.inf, np.inf),
+    measured=None,
+    sequence=(0, 0, 0),
+    time=(0.0, 0.0, 0.0),
+    d_C=D_C,
+    d_R=D_R,
+    health=(0, 0, 0),
+):
+    measured = distance if measured is None else measured
+    return SafetyIndex(
+        sequence=np.array(sequence),
+        time=np.array(time),
+        d_C=np.full(3, d_C),
+        d_R=np.full(3, d_R),
+        dsi_raw=(0.3 / np.array(measured)) ** 2,
+        dsi=(0.3 / np.array(distance)) ** 2,
+        dsi_C=np.full(3, (0.3 / d_C) ** 2),
+        dsi_R=np.full(3, (0.3 / d_R) ** 2),
+        health=np.array(health),
+    )
+
+
+class TestClassifyIndex(unittest.TestCase):
+    def test_bounds(self):
+        """Critical at DSI_C itself, normal at DSI_R itself."""
+        for dsi, psi in (
+            (0.0, 2),
+            (0.1, 2),
+            (np.nextafter(0.1, 1), 1),
+            (np.nextafter(0.2, 0), 1),
+            (0.2, 0),
+            (9.0, 0),
+            (np.inf, 0),
+            (np.nan, 0),
+        ):
+            for literal in (False, True):
+                self.assertEqual(
+                    mut.classify_index(dsi, 0.2, 0.1, literal), psi
+                )
+
+    def test_order_of_the_tests(self):
+        """If d_R < d_C only the paper's order calls it normal."""
+        self.assertEqual(mut.classify_index(0.5, 0.416233, 1.108033, False), 0)
+        self.assertEqual(mut.classify_index(0.5, 0.416233, 1.108033, True), 2)
+
+    def test_unknown_threshold_stops(self):
+        for dsi_C, dsi_R in ((np.nan, 0.1), (np.nan, np.nan), (0.0, 0.0)):
+            self.assertEqual(
+                mut.classify_index(0.05, dsi_C, dsi_R, False), RobotState.STOP
+            )
+
+    @given(st.floats(0, 10), st.floats(0, 10), st.floats(0, 10))
+    def test_safe_is_never_faster_than_literal(self, dsi, dsi_C, dsi_R):
+        self.assertLessEqual(
+            mut.classify_index(dsi, dsi_C, dsi_R, False),
+            mut.classify_index(dsi, dsi_C, dsi_R, True),
+        )
+
+    @given(st.floats(0, 10), st.floats(0, 10), st.floats(0, 10))
+    def test_nearer_is_never_faster(self, dsi, more, dsi_C):
+        self.assertLessEqual(
+            mut.classify_index(dsi + more, dsi_C, 0.5 * dsi_C, False),
+            mut.classify_index(dsi, dsi_C, 0.5 * dsi_C, False),
+        )
+
+
+class TestStates(unittest.TestCase):
+    config = SsmConfig()
+
+    def states(self, index, now=0.0):
+        return mut.calc_ring_states(
+            index=index, now=now, config=self.config
+        ).tolist()
+
+    def reason(self, index, now=0.0):
+        return mut.calc_reason(index=index, now=now, config=self.config)
+
+    def test_normal(self):
+        index = make_index(distance=(1.0, np.inf, 2.0))
+        self.assertEqual(self.states(index), [2, 2, 2])
+        self.assertEqual(self.reason(index), "normal")
+
+    def test_distances(self):
+        index = make_index(distance=(0.7, 0.6, 2.0))
+        self.assertEqual(self.states(index), [1, 0, 2])
+        self.assertEqual(
+            self.reason(index), "stop: elbow at 0.600 m <= d_C 0.665 m"
+        )
+        index = make_index(distance=(0.9, np.inf, 0.8))
+        self.assertEqual(
+            self.reason(index), "reduced: tool at 0.800 m < d_R 0.995 m"
+        )
+
+    def test_filtered_distance_is_reported(self):
+        index = make_index(distance=(0.6, 2.0, 2.0), measured=(0.9, 2.0, 2.0))
+        self.assertEqual(
+            self.reason(index),
+            "stop: base at 0.600 m (filtered; measured 0.900 m) <= d_C 0.665 m",
+        )
+        index = make_index(
+            distance=(0.6, 2.0, 2.0), measured=(np.inf, 2.0, 2.0)
+        )
+        self.assertIn("measured clear", self.reason(index))
+
+    def test_no_sample(self):
+        index = make_index(sequence=(3, -1, 4))
+        self.assertEqual(self.states(index), [2, 0, 2])
+        self.assertEqual(self.reason(index), "stop: elbow has no sample yet")
+        self.assertEqual(self.states(make_empty_safety_index()), [0, 0, 0])
+
+    def test_deadline(self):
+        index = make_index(time=(1.0, 1.0, 0.95))
+        self.assertEqual(self.states(index, 1.049), [2, 2, 2])
+        self.assertEqual(self.states(index, 1.051), [2, 2, 0])
+        self.assertEqual(
+            self.reason(index, 1.06),
+            "stop: tool sample is 0.110 s old, deadline 0.100 s",
+        )
+        self.assertEqual(self.states(index, 1.2), [0, 0, 0])
+
+    def test_sample_of_another_clock(self):
+        """A sample from far in the future would never grow too old."""
+        index = make_index(time=(0.0, 0.05, 0.2))
+        self.assertEqual(self.states(index), [2, 2, 0])
+        for time in (-np.inf, np.inf, np.nan):
+            self.assertEqual(
+                self.states(make_index(time=(time, 0, 0))), [0, 2, 2]
+            )
+
+    def test_faulted(self):
+        index = make_index(health=(0, 0, RingHealth.FAULTED))
+        self.assertEqual(self.states(index), [2, 2, 0])
+        self.assertEqual(self.reason(index), "stop: tool is faulted")
+        self.assertEqual(self.states(make_index(health=(7, 0, 0))), [0, 2, 2])
+
+    def test_blind_is_at_most_reduced(self):
+        blind = int(RingHealth.BLIND)
+        index = make_index(
+            distance=(2.0, 0.8, 0.6), health=(blind, blind, blind)
+        )
+        self.assertEqual(self.states(index), [1, 1, 0])
+        self.assertEqual(
+            self.reason(index), "stop: tool at 0.600 m <= d_C 0.665 m"
+        )
+        index = make_index(health=(0, blind, 0))
+        self.assertEqual(self.states(index), [2, 1, 2])
+        self.assertEqual(self.reason(index), "reduced: elbow is blind")
+
+    def test_blind_from_the_beginning_is_reduced(self):
+        index = dc.replace(
+            make_index(health=(int(RingHealth.BLIND),) * 3),
+            dsi=np.full(3, np.inf),
+        )
+        self.assertEqual(self.states(index), [1, 1, 1])
+
+    def test_literal(self):
+        index = make_index(distance=(0.4, 2.0, 2.0), d_C=0.465, d_R=0.285)
+        self.assertEqual(self.states(index), [0, 2, 2])
+        states = mut.calc_ring_states(
+            index=index, now=0.0, config=SsmConfig(literal=True)
+        )
+        self.assertEqual(states.tolist(), [2, 2, 2])
+
+    @given(
+        st.lists(
+            st.tuples(
+                st.floats(0.01, 5.0) | st.just(np.inf),
+                st.floats(0.01, 5.0) | st.just(np.inf) | st.just(np.nan),
+                st.integers(-1, 2),
+                st.floats(-1, 1) | st.just(-np.inf) | st.just(np.nan),
+                st.integers(0, 2),
+            ),
+            min_size=3,
+            max_size=3,
+        )
+    )
+    def test_reason_is_one_line_of_the_state(self, links):
+        distance, measured, sequence, time, health = zip(*links, strict=True)
+        index = make_index(
+            distance=distance,
+            measured=measured,
+            sequence=sequence,
+            time=time,
+            health=health,
+        )
+        psi = min(self.states(index))
+        reason = self.reason(index)
+        self.assertNotIn("\n", reason)
+        self.assertTrue(
+            reason.startswith(("stop: ", "reduced: ", "normal")[int(psi)])
+        )
+        if psi < 2:
+            self.assertTrue(any(name in reason for name in RINGS))
+        self.assertNotIn("nan m", reason)
+
+
+class TestTriSsmState(unittest.TestCase):
+    def setUp(self):
+        self.dut = mut.TriSsmState()
+        self.context = self.dut.CreateDefaultContext()
+
+    def fix(self, index):
+        self.dut.GetInputPort("dsi").FixValue(self.context, Value(index))
+
+    def eval(self, name):
+        return self.dut.GetOutputPort(name).Eval(self.context)
+
+    def test_outputs(self):
+        self.fix(make_index(distance=(0.9, 2.0, np.inf)))
+        self.assertEqual(self.eval("robot_state").tolist(), [1])
+        self.assertEqual(self.eval("ring_states").tolist(), [1, 2, 2])
+        self.assertEqual(
+            self.eval("reason"), "reduced: base at 0.900 m < d_R 0.995 m"
+        )
+
+    def test_starts_stopped(self):
+        self.fix(make_empty_safety_index())
+        self.assertEqual(self.eval("robot_state").tolist(), [0])
+        self.assertEqual(self.eval("reason"), "stop: base has no sample yet")
+
+    def test_time_alone_stops(self):
+        """No new message, only time: the outputs must not be stale."""
+        self.fix(make_index())
+        self.assertEqual(self.eval("robot_state").tolist(), [2])
+        self.context.SetTime(0.101)
+        self.assertEqual(self.eval("robot_state").tolist(), [0])
+        self.assertEqual(self.eval("ring_states").tolist(), [0, 0, 0])
+        self.assertIn("old", self.eval("reason"))
+
+    def test_config_is_copied_and_checked(self):
+        config = SsmConfig(deadline=0.5)
+        dut = mut.TriSsmState(config=config)
+        config.deadline = 0.01
+        context = dut.CreateDefaultContext()
+        context.SetTime(0.4)
+        dut.GetInputPort("dsi").FixValue(context, Value(make_index()))
+        self.assertEqual(
+            dut.GetOutputPort("robot_state").Eval(context).tolist(), [2]
+        )
+        with self.assertRaises(UserError):
+            mut.TriSsmState(config=SsmConfig(deadline=0.0))

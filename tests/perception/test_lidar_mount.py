@@ -1,0 +1,128 @@
+"""The lidar under the robot of the real cell."""
+
+import math
+
+import numpy as np
+from pydrake.geometry import SceneGraph
+from pydrake.math import RigidTransform
+import pytest
+
+from tofssm_drake.arms.cell_plant import make_twin_plant
+from tofssm_drake.arms.kinematics import RingKinematics
+from tofssm_drake.metrics.ground_truth import TruthModel
+import tofssm_drake.perception.lidar_mount as mut
+from tofssm_drake.perception.twin import TwinPoses
+from tofssm_drake.raycast.ray_caster import RayCaster
+from tofssm_drake.sensors.lidar_2d import Lidar2dConfig, calc_lidar_angles
+from tofssm_drake.tasks.products import ProductLayout
+from tofssm_drake.tasks.program import ProgramConfig, make_program_path
+
+
+class Cell:
+    def __init__(self):
+        self.config = Lidar2dConfig()
+        self.scene_graph = SceneGraph()
+        plant = self.plant = make_twin_plant(scene_graph=self.scene_graph)
+        self.kinematics = RingKinematics.from_plant(plant)
+        inspector = self.scene_graph.model_inspector()
+        self.caster = RayCaster(inspector)
+        self.bundle = mut.make_base_lidar_bundle(
+            config=self.config,
+            caster=self.caster,
+            plant=plant,
+            inspector=inspector,
+            kinematics=self.kinematics,
+        )
+        program = ProgramConfig()
+        self.twin = TwinPoses.from_plant(
+            plant,
+            layout=ProductLayout.from_config(program),
+            frame_ids=self.caster.frame_ids,
+            kinematics=self.kinematics,
+        )
+        self.path = make_program_path(program, self.kinematics)
+
+    def scan(self, s=0.0, closed=0.0, placed=0.0):
+        """Casts the rays as the cell is at a path time."""
+        X_WF = self.twin.calc(self.path.calc_motion(s)[0], closed, placed)
+        return self.caster.cast_bundles(self.bundle, X_WF)[0][0]
+
+
+@pytest.fixture(scope="module")
+def cell():
+    return Cell()
+
+
+def test_background_is_the_tables_legs(cell):
+    background = mut.scan_background(
+        caster=cell.caster,
+        bundle=cell.bundle,
+        twin=cell.twin,
+        q=cell.path.calc_motion(0.0)[0],
+    )
+    angles = calc_lidar_angles(cell.config)
+    seen = np.isfinite(background)
+    assert 20 < seen.sum() < 200
+    x = background[seen] * np.cos(angles[seen])
+    y = background[seen] * np.sin(angles[seen])
+    # Legs of 0.05 m at the corners of tables at y = -0.82 and 0.82.
+    corners = np.array(
+        [
+            (a, b + c)
+            for a in (-0.36, 0.36)
+            for b in (-0.82, 0.82)
+            for c in (-0.26, 0.26)
+        ]
+    )
+    off = np.abs(np.stack([x, y], axis=1)[:, None] - corners).max(axis=2)
+    assert off.min(axis=1).max() < 0.025 + 1e-9
+
+
+def test_the_robot_never_enters_the_plane(cell):
+    """Otherwise it would take itself for a person."""
+    background = cell.scan()
+    for s in np.linspace(0.0, cell.path.duration, 40):
+        closed = float(cell.path.calc_gripper_closed(s))
+        placed = cell.path.calc_products_placed(s)
+        np.testing.assert_array_equal(cell.scan(s, closed, placed), background)
+
+
+@pytest.mark.parametrize(("offset", "expected"), [(0.0, 0.5), (0.82, 0.0)])
+def test_truth_is_from_the_lidar(cell, offset, expected):
+    """To a ball of 0.1 m, 1.0 m away, and to one 0.6 m away."""
+    dut = TruthModel(
+        plant=cell.plant,
+        inspector=cell.scene_graph.model_inspector(),
+        radii=[0.1, 0.1],
+        kinematics=mut.make_lidar_kinematics(cell.config, cell.kinematics),
+        link_offset=offset,
+    )
+    assert dut.layout.num_rings == 1
+    far = [*(0.0, 1.0, 0.3) * 2, *(0.0, 0.0, 9.0) * 2]
+    near = [*(0.0, 0.0, -9.0) * 2, *(0.0, -0.6, 0.3) * 2]
+    truth = dut.calc(
+        q=np.zeros((2, 6)), qd=np.zeros((2, 6)), skeleton=np.array([far, near])
+    )
+    np.testing.assert_allclose(
+        truth[:, dut.layout.ring_distance][:, 0],
+        [0.9 - offset, expected],
+        atol=1e-12,
+    )
+
+
+def test_truth_s_link_stands_where_the_lidar_is(cell):
+    dut = mut.make_lidar_kinematics(cell.config, cell.kinematics)
+    assert dut.name == ("lidar",)
+    rng = np.random.default_rng(1)
+    q, qd = rng.uniform(-2, 2, (2, 6))
+    p_WL, R_WL, v_WL = dut.calc(q, qd)
+    np.testing.assert_allclose(p_WL, [[0, 0, 0.3]], atol=1e-12)
+    np.testing.assert_allclose(R_WL[0], np.eye(3), atol=1e-12)
+    np.testing.assert_array_equal(v_WL, np.zeros((1, 3)))
+    # The tool is the robot's.
+    np.testing.assert_array_equal(
+        dut.calc_tcp_pose(q), cell.kinematics.calc_tcp_pose(q)
+    )
+    X_WS = mut.calc_lidar_pose(cell.config, cell.kinematics)
+    assert X_WS.IsNearlyEqualTo(RigidTransform([0, 0, 0.3]), 1e-12)
+    assert math.isclose(np.linalg.norm(p_WL), 0.3)

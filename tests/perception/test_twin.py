@@ -1,0 +1,178 @@
+import functools
+import unittest
+
+import numpy as np
+from pydrake.geometry import Role, SceneGraph
+from pydrake.systems.framework import DiagramBuilder
+from pydrake.systems.rendering import MultibodyPositionToGeometryPose
+
+from tofssm_drake.arms.cell_plant import make_twin_plant
+from tofssm_drake.arms.kinematics import RingKinematics
+from tofssm_drake.errors import UserError
+from tofssm_drake.messages import RINGS
+import tofssm_drake.perception.twin as mut
+from tofssm_drake.tasks.products import ProductLayout, calc_product_positions
+from tofssm_drake.tasks.program import ProgramConfig, make_program_path
+
+
+@functools.cache
+def make_twin():
+    scene_graph = SceneGraph()
+    return make_twin_plant(scene_graph=scene_graph), scene_graph
+
+
+def _calc_positions(*, q, **reported):
+    """Returns the positions of the twin's plant."""
+    return np.append(q, calc_product_positions(q=q, **reported))
+
+
+class TestTwin(unittest.TestCase):
+    @classmethod
+    def setUpClass(cls):
+        cls.plant, cls.scene_graph = make_twin()
+        cls.kinematics = RingKinematics.from_plant(cls.plant)
+        cls.layout = ProductLayout.from_config(ProgramConfig())
+
+    def test_poses_against_plant(self):
+        plant = self.plant
+        inspector = self.scene_graph.model_inspector()
+        frame_ids = list(
+            {
+                inspector.GetFrameId(geometry_id)
+                for geometry_id in inspector.GetAllGeometryIds(Role.kPerception)
+            }
+        )
+        dut = mut.TwinPoses.from_plant(
+            plant, layout=self.layout, frame_ids=frame_ids
+        )
+        context = plant.CreateDefaultContext()
+        generator = np.random.default_rng(0)
+        for closed, placed in ((0, 0), (1, 0), (1, 4), (0, 5), (1, 9), (0, 10)):
+            q = generator.uniform(-3, 3, 6)
+            plant.SetPositions(
+                context,
+                _calc_positions(
+                    layout=self.layout,
+                    kinematics=self.kinematics,
+                    q=q,
+                    gripper_closed=closed,
+                    products_placed=placed,
+                ),
+            )
+            X_WF = dut.calc(q, closed, placed)
+            for i, frame_id in enumerate(frame_ids):
+                body = plant.GetBodyFromFrameId(frame_id)
+                np.testing.assert_allclose(
+                    X_WF[i],
+                    plant.EvalBodyPoseInWorld(context, body).GetAsMatrix34(),
+                    atol=1e-9,
+                )
+
+    def test_frames(self):
+        """Checks sensor frames, which belong to no body of their own."""
+        plant = self.plant
+        frames = [
+            plant.GetFrameByName(name)
+            for name in ("base_ring_3", "tool_ring_0", "robot_base")
+        ]
+        dut = mut.TwinPoses.from_plant(plant, layout=self.layout, frames=frames)
+        q = np.linspace(-1, 1, 6)
+        context = plant.CreateDefaultContext()
+        plant.SetPositions(context, plant.GetModelInstanceByName("ur10"), q)
+        X_WF = np.empty((3, 3, 4))
+        self.assertIs(dut.calc(q, 0, 0, X_WF), X_WF)
+        for i, frame in enumerate(frames):
+            np.testing.assert_allclose(
+                X_WF[i],
+                frame.CalcPoseInWorld(context).GetAsMatrix34(),
+                atol=1e-9,
+            )
+
+    def test_foreign_body_is_an_error(self):
+        layout = ProductLayout.from_config(ProgramConfig(products=3))
+        body = self.plant.GetBodyByName(
+            "product", self.plant.GetModelInstanceByName("product_5")
+        )
+        with self.assertRaisesRegex(UserError, "product"):
+            mut.TwinPoses.from_plant(
+                self.plant, layout=layout, frames=[body.body_frame()]
+            )
+
+
+class TestSensorsAreOutside(unittest.TestCase):
+    def test_no_sensor_inside_a_shape(self):
+        """Checks over the whole task that no sensor's origin lies inside a
+        shape that it could see, its own link apart; products included."""
+        builder = DiagramBuilder()
+        scene_graph = builder.AddSystem(SceneGraph())
+        plant = make_twin_plant(scene_graph=scene_graph, sensors_per_ring=16)
+        poses = builder.AddSystem(MultibodyPositionToGeometryPose(plant))
+        builder.Connect(
+            poses.get_output_port(),
+            scene_graph.get_source_pose_port(plant.get_source_id()),
+        )
+        builder.ExportInput(poses.get_input_port(), "positions")
+        diagram = builder.Build()
+        context = diagram.CreateDefaultContext()
+        kinematics = RingKinematics.from_plant(plant)
+        layout = ProductLayout.from_config(ProgramConfig())
+        path = make_program_path(ProgramConfig(), kinematics)
+        frames = [
+            plant.GetFrameByName(f"{name}_ring_{j}")
+            for name in RINGS
+            for j in range(16)
+        ]
+        twin = mut.TwinPoses.from_plant(plant, layout=layout, frames=frames)
+        inspector = scene_graph.model_inspector()
+        own = {
+            ring: {
+                geometry_id
+                for body in plant.GetBodiesWeldedTo(
+                    plant.GetFrameByName(f"{ring}_ring").body()
+                )
+                for geometry_id in plant.GetCollisionGeometriesForBody(body)
+            }
+            for ring in RINGS
+        }
+        nearest = np.inf
+        # One product of each row, the first and the last, densely.
+        duration = path.duration
+        times = np.concatenate(
+            [
+                np.arange(
+                    path.close_time[i] - 0.8, path.open_time[i] + 0.6, 0.06
+                )
+                for i in (0, 4, 9)
+            ]
+        )
+        for s in times[(times > 0) & (times < duration)]:
+            q = path.calc_motion(s)[0]
+            closed = path.calc_gripper_closed(s)
+            placed = path.calc_products_placed(s)
+            diagram.GetInputPort("positions").FixValue(
+                context,
+                _calc_positions(
+                    layout=layout,
+                    kinematics=kinematics,
+                    q=q,
+                    gripper_closed=closed,
+                    products_placed=placed,
+                ),
+            )
+            query = scene_graph.get_query_output_port().Eval(
+                scene_graph.GetMyContextFromRoot(context)
+            )
+            X_WS = twin.calc(q, closed, placed)
+            for i in range(len(frames)):
+                found = query.ComputeSignedDistanceToPoint(
+                    X_WS[i, :, 3], threshold=0.3
+                )
+                for one in found:
+                    if one.id_G not in own[RINGS[i // 16]]:
+                        nearest = min(nearest, one.distance)
+                        self.assertGreater(
+                            one.distance,
+                            0.0,
+                            (frames[i].name(), inspector.GetName(one.id_G), s),
+                        )
+        self.assertLess(nearest, 0.3)

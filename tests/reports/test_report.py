@@ -1,0 +1,279 @@
+import html
+from html.parser import HTMLParser
+from pathlib import Path
+import re
+import tempfile
+import unittest
+from unittest import mock
+
+import numpy as np
+from synthetic_run import RINGS, make_rich_run, make_run, make_steps
+
+from tofssm_drake.errors import UserError
+from tofssm_drake.metrics.metrics import calc_summary, find_contacts
+import tofssm_drake.reports.report as mut
+
+
+class _Checker(HTMLParser):
+    """Collects what a page refers to, and checks that tags are closed."""
+
+    VOID = ("meta", "img", "source", "br", "link", "input")
+
+    def __init__(self):
+        super().__init__()
+        self.stack = []
+        self.links = []
+        self.ids = []
+        self.alt = []
+
+    def handle_starttag(self, tag, attrs):
+        attrs = dict(attrs)
+        for name in ("src", "href", "srcset"):
+            if name in attrs:
+                self.links.append(attrs[name])
+        if "id" in attrs:
+            self.ids.append(attrs["id"])
+        if tag == "img":
+            self.alt.append(attrs.get("alt"))
+        if tag not in self.VOID:
+            self.stack.append(tag)
+
+    def handle_endtag(self, tag):
+        assert self.stack and self.stack[-1] == tag, (tag, self.stack)
+        self.stack.pop()
+
+
+def _strip(page):
+    text = re.sub(r"<style>.*?</style>", " ", page, flags=re.S)
+    return re.sub(r"\s+", " ", html.unescape(re.sub(r"<[^>]+>", " ", text)))
+
+
+def _make_contact_run():
+    run = make_run(6.0)
+    run["true_distance"][:] = 0.5
+    during = (run["t"] >= 2.0 - 1e-9) & (run["t"] < 2.4)
+    run["true_distance"][during] = -0.01
+    run["contact_speed"][during] = 0.62
+    run["robot_body"][:] = 2
+    run["person_part"][:] = 1
+    for ring in RINGS:
+        run[f"{ring}_true_distance"][:] = 0.3
+        run[f"{ring}_true_azimuth"][:] = np.deg2rad(22.5)
+        run[f"{ring}_true_elevation"][:] = 0.0
+    return run
+
+
+class TestReport(unittest.TestCase):
+    def setUp(self):
+        # Drawing takes seconds and is tested elsewhere; once is enough here.
+        patch = mock.patch.object(
+            mut.figures,
+            "to_data_uri",
+            return_value="data:image/svg+xml;base64,AAAA",
+        )
+        patch.start()
+        self.addCleanup(mock.patch.stopall)
+
+    def _make(self, run, **options):
+        page = mut.make_report(run, calc_summary(run), **options)
+        checker = _Checker()
+        checker.feed(page)
+        self.assertEqual(checker.stack, [])
+        return page, checker, _strip(page)
+
+    def test_self_contained(self):
+        """Nothing is loaded from elsewhere; inner links lead somewhere."""
+        mock.patch.stopall()
+        run = make_rich_run(6.0)
+        page, checker, _ = self._make(run)
+        for link in checker.links:
+            self.assertRegex(link, r"^(data:image/svg\+xml;base64,|#\w+$)")
+            if link.startswith("#"):
+                self.assertIn(link[1:], checker.ids)
+        self.assertTrue(all(checker.alt))
+        self.assertNotIn("<script", page)
+        self.assertLess(len(page), 4_000_000)
+
+    def test_what_was_run(self):
+        run = make_rich_run(3.0)
+        run.metadata["scenario"] = "human: <b>nobody</b>\n"
+        run.metadata["command"] = "tofssm simulate --ssm vo"
+        page, _, text = self._make(run)
+        self.assertIn("human: <b>nobody</b>", text)
+        self.assertNotIn("<b>nobody", page)
+        self.assertIn("tofssm simulate --ssm vo", text)
+        self.assertIn("drake 1.51.1", text)
+        self.assertIn("Configuration Vo", text)
+        self.assertIn("not a certified safety function", text)
+        self.assertIn("0.12 to 0.22 m shorter", text)
+
+    def test_what_was_not_verified(self):
+        run = make_run(3.0)
+        run.metadata |= {
+            "dead_sensors": {"tool": [3]},
+            "self_hit_coverage": ["base ring cannot be verified by self-hits"],
+        }
+        page = _strip(mut.make_report(run, calc_summary(run)))
+        self.assertIn("Sensors declared dead: tool 3.", page)
+        self.assertIn("base ring cannot be verified by self-hits.", page)
+
+    def test_bare_run(self):
+        """Without any metadata, person or event there is still a report."""
+        run = make_run(2.0, geometry=False)
+        run.metadata = {}
+        _, _, text = self._make(run)
+        self.assertIn("Nobody was in the cell.", text)
+        self.assertIn("Nothing stopped or slowed the robot.", text)
+        self.assertIn("0 of 10 products were placed", text)
+
+    def test_real_sensors_tell_nothing_of_contacts(self):
+        run = make_run(2.0, geometry=False)
+        summary = calc_summary(run, products=10) | {"person_is_known": False}
+        self.assertIsNone(summary["min_true_distance_m"])
+        text = str(mut.make_verdict(summary, products=10))
+        self.assertNotIn("Nobody", text)
+        self.assertIn("is not known", text)
+
+    def test_nobody_is_claimed_to_be_absent_from_real_sensors(self):
+        run = make_run(2.0, geometry=False)
+        run["robot_state"][50:] = 0
+        run.metadata["human"] = "not known: real rings"
+        summary = calc_summary(run, products=10) | {"person_is_known": False}
+        page = mut.make_report(run, summary)
+        for word in ("nobody<", "Nobody", "simulated world", "walking person"):
+            self.assertNotIn(word, page)
+        self.assertIn('<td class="n">not known</td>', page)
+        self.assertIn("not known: real rings", page)
+        self.assertNotIn("true distance with", page)
+        self.assertNotIn("measured and true", page)
+        # In a simulation it is known.
+        page = mut.make_report(run, calc_summary(run, products=10))
+        self.assertIn("nobody<", page)
+
+    def test_no_rows(self):
+        """Interrupted before the first tick."""
+        run = make_run(0.0)
+        run.metadata["interrupted"] = True
+        _, _, text = self._make(run)
+        self.assertIn("The run was interrupted", text)
+        self.assertIn("Nothing was recorded", text)
+
+    def test_contact(self):
+        _, checker, text = self._make(_make_contact_run())
+        self.assertIn(
+            "The moving robot touched the person: 1 contact, at up to "
+            "0.620 m/s.",
+            text,
+        )
+        self.assertIn(
+            "At 2.00 s the robot's wrist 3 touched the person's left forearm "
+            "while moving at 0.620 m/s",
+            text,
+        )
+        self.assertIn("never seen by any ring", text)
+        self.assertIn("gap between sensors 0 and 1 of the base ring", text)
+        self.assertIn("between sensors 0 and 1", text)
+        # Four figures in two widths less one alternative each, three rings.
+        self.assertEqual(len(checker.alt), 4 + 3)
+
+    def test_episodes_and_replay(self):
+        run = make_run(6.0)
+        run.column["robot_state"] = make_steps(
+            run["t"], (0, 0), (0.04, 2), (1, 1), (2.504, 0), (3, 2)
+        ).astype(np.int8)
+        run["reason"][313] = "tool at 0.40 m"
+        page, _, text = self._make(run, recording="recording.html")
+        self.assertIn('href="recording.html#t=1.000"', page)
+        # A tick of 8 ms: two decimals would open before the event.
+        self.assertIn('href="recording.html#t=2.504"', page)
+        self.assertIn("tool at 0.40 m", text)
+        self.assertIn("slowed the robot in 1 episode ", text)
+
+    def test_write(self):
+        run = make_run(1.0)
+        with tempfile.TemporaryDirectory() as folder:
+            path = Path(folder) / "report.html"
+            mut.write_report(run, calc_summary(run), path)
+            self.assertEqual(list(path.parent.iterdir()), [path])
+            self.assertTrue(
+                path.read_text("utf-8").startswith("<!DOCTYPE html>")
+            )
+        with self.assertRaisesRegex(UserError, "cannot be written"):
+            mut.write_report(run, calc_summary(run), path)
+
+
+class TestWords(unittest.TestCase):
+    def test_format_number(self):
+        self.assertEqual(mut.format_number(1.234), "1.23")
+        self.assertEqual(mut.format_number(1.26, 1, "s"), "1.3\u00a0s")
+        self.assertEqual(mut.format_number(None), "\u2013")
+        self.assertEqual(mut.format_number(np.nan), "\u2013")
+        self.assertEqual(mut.format_number(np.inf), "clear")
+
+    def test_a_minus_is_no_hyphen(self):
+        self.assertEqual(mut.format_number(-0.333, 2, "m"), "\u22120.33\u00a0m")
+
+    def test_why_a_task_was_not_finished(self):
+        run = make_run(10.0)
+        run["true_distance"][:] = 0.5
+        for share, told in ((0.7, True), (0.3, False)):
+            for ring in RINGS:
+                run[f"{ring}_true_distance"][:] = np.where(
+                    run["t"] < 10.0 * share, 0.5, 1.0
+                )
+            summary = calc_summary(run)
+            verdict = mut.make_verdict(summary, products=10)
+            text = " ".join(sentence for _, sentence in verdict)
+            self.assertIn("0 of 10 products were placed in the 10.0 s", text)
+            self.assertEqual("For 70 % of that time" in text, told)
+            self.assertEqual("at which this law stops" in text, told)
+
+    def test_count_of(self):
+        self.assertEqual(mut.count_of(0, "contact"), "no contacts")
+        self.assertEqual(mut.count_of(1, "contact"), "1 contact")
+        self.assertEqual(mut.count_of(3, "contact"), "3 contacts")
+
+    def test_verdict_grades(self):
+        run = make_run(2.0)
+        run["true_distance"][:] = 0.4
+        run["products_placed"][-1] = 10
+        grades = dict(
+            (sentence, grade)
+            for grade, sentence in mut.make_verdict(
+                calc_summary(run), products=10
+            )
+        )
+        self.assertEqual(
+            grades[
+                "The robot never touched the person. The nearest they came "
+                "was 0.40 m."
+            ],
+            "good",
+        )
+        self.assertEqual(
+            grades["All 10 products were placed in 2.0 s."], "good"
+        )
+        for products, placed, sentence in (
+            (1, 1, "The product was placed in 2.0 s."),
+            (1, 0, "0 of 1 product was placed in the 2.0 s"),
+        ):
+            run["products_placed"][-1] = placed
+            verdict = mut.make_verdict(
+                calc_summary(run, products=products), products=products
+            )
+            self.assertIn(sentence, str(verdict))
+        run["true_distance"][50] = -0.01
+        verdict = mut.make_verdict(calc_summary(run), products=10)
+        self.assertIn("while it stood still", verdict[0][1])
+        summary = calc_summary(_make_contact_run())
+        self.assertEqual(mut.make_verdict(summary, products=10)[0][0], "bad")
+
+    def test_seen_contact(self):
+        run = _make_contact_run()
+        run["base_measured_distance"][:] = 0.35
+        (contact,) = find_contacts(run)
+        text = " ".join(mut.describe_contact(contact))
+        self.assertIn("the person was seen (by base)", text)
+        self.assertNotIn("never seen", text)
+        self.assertIn("base ring read 0.35 m", text)
+        self.assertIn("tool ring read clear", text)

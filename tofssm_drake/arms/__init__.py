@@ -1,0 +1,1 @@
+"""The robot arm: model, kinematics, simulated controller."""

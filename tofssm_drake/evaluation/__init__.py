@@ -1,1 +1,0 @@
-"""Ground truth, records, metrics and the report of a run."""

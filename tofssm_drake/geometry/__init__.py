@@ -1,1 +1,0 @@
-"""Ray casting and distances between shapes, on a Drake SceneGraph."""

@@ -1,1 +1,0 @@
-"""Real robots and sensors, and their stand-ins on the same wires."""

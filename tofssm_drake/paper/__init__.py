@@ -1,0 +1,1 @@
+"""The experiment of 2019: its cells, claims, explanations, figures."""

@@ -1,0 +1,1 @@
+"""The monitor's side of sensing: from scans to a separation."""

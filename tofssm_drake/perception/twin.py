@@ -1,0 +1,225 @@
+"""A fast way to pose a copy of the cell.
+
+The monitor's occlusion mask has its own copy of the cell, the twin, and poses
+it from measured joints at each sensor's own sample time. `TwinPoses` does
+that without a plant context.
+"""
+
+import dataclasses as dc
+
+import numpy as np
+from pydrake.multibody.plant import MultibodyPlant
+
+from tofssm_drake.arms.kinematics import (
+    UR10_JOINTS,
+    RingKinematics,
+    calc_link_poses,
+)
+from tofssm_drake.errors import UserError
+from tofssm_drake.kernels import njit
+from tofssm_drake.tasks.products import (
+    ProductLayout,
+    calc_carried_pose,
+    calc_product_poses,
+)
+
+_KIND = 12
+"""Column of a frame's kind, after its pose row by row."""
+
+
+@njit(cache=True)
+def calc_twin_poses(
+    robot, slots, frames, q, gripper_closed, products_placed, X_WF
+):
+    """Poses frames that stand still, ride on the robot or are products.
+
+    What is fixed comes in few arrays: each one costs a fraction of a
+    microsecond on the way into compiled code.
+
+    Args:
+        robot: Pose of the robot's base, X_PJ of its n joints as in
+            `calc_link_poses`, pose of the tool centre point in the last link,
+            (n + 2, 3, 4).
+        slots: Poses of the p products before they are picked and in the box,
+            (2, p, 3, 4).
+        frames: Of each frame its pose in world, in its link, or in its
+            product, row by row, and its kind: -1 stands still, 0 to n rides
+            on that link, n + 1 + i is product i; (f, 13).
+        q: Joint angles, rad, (n,).
+        gripper_closed: More than 0.5 is closed.
+        products_placed: How many products are in the box.
+        X_WF: Changed, (f, 3, 4).
+    """
+    n = q.shape[0]
+    X_WA = np.empty((n + 1, 3, 4))
+    calc_link_poses(robot[0], robot[1 : n + 1], q, X_WA)
+    placed = round(products_placed)
+    X_WP = np.empty((3, 4))
+    if gripper_closed > 0.5 and placed < slots.shape[1]:
+        X_WT = np.empty((3, 4))
+        _multiply(X_WA[n], robot[n + 1].ravel(), X_WT)
+        calc_carried_pose(X_WT, X_WP)
+    for f in range(frames.shape[0]):
+        kind = int(frames[f, _KIND])
+        X_AF = frames[f]
+        X_WF_f = X_WF[f]
+        if kind < 0:
+            for i in range(3):
+                for j in range(4):
+                    X_WF_f[i, j] = X_AF[4 * i + j]
+        elif kind <= n:
+            _multiply(X_WA[kind], X_AF, X_WF_f)
+        elif kind - n - 1 < placed:
+            _multiply(slots[1, kind - n - 1], X_AF, X_WF_f)
+        elif kind - n - 1 == placed and gripper_closed > 0.5:
+            _multiply(X_WP, X_AF, X_WF_f)
+        else:
+            _multiply(slots[0, kind - n - 1], X_AF, X_WF_f)
+
+
+@njit(cache=True)
+def _multiply(X_AB, X_BC, X_AC):
+    """Writes X_AC; X_BC has its twelve numbers row by row."""
+    for row in range(3):
+        for column in range(4):
+            total = X_AB[row, 3] if column == 3 else 0.0
+            for k in range(3):
+                total += X_AB[row, k] * X_BC[4 * k + column]
+            X_AC[row, column] = total
+
+
+@dc.dataclass(frozen=True, eq=False, kw_only=True)
+class TwinPoses:
+    """Poses the twin's frames from joints, gripper and product count.
+
+    Made by `from_plant`; one compiled call per set of poses, no context.
+    """
+
+    robot: np.ndarray
+    """As in `calc_twin_poses`, like the next three."""
+    slots: np.ndarray
+    frames: np.ndarray
+
+    @staticmethod
+    def from_plant(
+        plant: MultibodyPlant,
+        *,
+        layout: ProductLayout,
+        frame_ids: list | None = None,
+        frames: list | None = None,
+        kinematics: RingKinematics | None = None,
+    ) -> "TwinPoses":
+        """Reads the fixed transforms once.
+
+        Args:
+            plant: Finalized, from `make_twin_plant`.
+            layout: Slots of the plant's products.
+            frame_ids: SceneGraph frames to pose, e.g. a ray caster's; their
+                plant must be registered with that SceneGraph.
+            frames: Or plant frames to pose.
+            kinematics: Of the plant's robot, if at hand.
+
+        Raises:
+            UserError: If a frame is neither fixed in the cell, nor a part of
+                the robot, nor a product of the layout.
+        """
+        kinematics = kinematics or RingKinematics.from_plant(plant)
+        if frames is None:
+            frames = _find_frames(plant, frame_ids or [])
+        return TwinPoses(
+            robot=np.concatenate(
+                [kinematics.X_WB[None], kinematics.X_PJ, kinematics.X_AS[-1:]]
+            ),
+            slots=_calc_slots(layout),
+            frames=_fix_frames(plant, frames, len(layout)),
+        )
+
+    def calc(
+        self,
+        q: np.ndarray,
+        gripper_closed: float,
+        products_placed: float,
+        X_WF: np.ndarray | None = None,
+    ) -> np.ndarray:
+        """Returns X_WF (f, 3, 4).
+
+        Args:
+            q: Joint angles, rad, (6,).
+            gripper_closed: More than 0.5 is closed.
+            products_placed: How many products are in the box.
+            X_WF: Where to write, if given.
+        """
+        if X_WF is None:
+            X_WF = np.empty((len(self.frames), 3, 4))
+        calc_twin_poses(
+            self.robot,
+            self.slots,
+            self.frames,
+            q,
+            float(gripper_closed),
+            float(products_placed),
+            X_WF,
+        )
+        return X_WF
+
+
+def _find_frames(plant, frame_ids):
+    """Returns the plant's frames of SceneGraph frames."""
+    frames = []
+    for frame_id in frame_ids:
+        body = plant.GetBodyFromFrameId(frame_id)
+        if body is None:
+            raise UserError("twin: a frame belongs to no body of it")
+        frames.append(body.body_frame())
+    return frames
+
+
+def _calc_slots(layout):
+    """Returns `slots` as in `calc_twin_poses`."""
+    X_WT = np.zeros((3, 4))
+    slots = np.empty((2, len(layout), 3, 4))
+    for X_WP, placed in zip(slots, (0, len(layout)), strict=True):
+        calc_product_poses(
+            layout.pick_slots,
+            layout.place_slots,
+            layout.pick_yaw,
+            layout.place_yaw,
+            placed,
+            False,
+            X_WT,
+            X_WP,
+        )
+    return slots
+
+
+def _fix_frames(plant, frames, products):
+    """Returns `frames` as in `calc_twin_poses`."""
+    context = plant.CreateDefaultContext()
+    anchor_of = _find_anchors(plant, products)
+    rows = np.empty((len(frames), _KIND + 1))
+    for row, frame in zip(rows, frames, strict=True):
+        body = frame.body()
+        if body.index() not in anchor_of:
+            raise UserError(
+                f"twin: body {body.name()} is neither robot, cell nor product"
+            )
+        row[_KIND], anchor = anchor_of[body.index()]
+        X_AF = frame.CalcPose(context, anchor.body_frame())
+        row[:_KIND] = X_AF.GetAsMatrix34().ravel()
+    return rows
+
+
+def _find_anchors(plant, products):
+    """Returns kind and body that each body is welded to, by its index."""
+    links = [plant.GetJointByName(name).child_body() for name in UR10_JOINTS]
+    # The base stands still, as does everything welded to it.
+    anchors = [(-1, plant.world_body()), *enumerate(links, start=1)]
+    for i in range(products):
+        instance = plant.GetModelInstanceByName(f"product_{i}")
+        product = plant.GetBodyByName("product", instance)
+        anchors.append((len(links) + 1 + i, product))
+    return {
+        body.index(): (kind, anchor)
+        for kind, anchor in anchors
+        for body in plant.GetBodiesWeldedTo(anchor)
+    }

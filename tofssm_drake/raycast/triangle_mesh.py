@@ -1,0 +1,289 @@
+"""Triangles of Drake's Mesh shapes.
+
+Drake's distance queries replace most meshes by their convex hulls. A ray sees
+the surface itself, so it is read here: STL and COLLADA by
+trimesh, tetrahedral VTK by Drake, OBJ and glTF by readers that are stricter
+than either (see `obj_file`, `gltf_file`).
+"""
+
+import dataclasses as dc
+import hashlib
+import io
+from pathlib import Path
+from urllib.parse import unquote
+from xml.etree import ElementTree
+
+from collada import Collada
+from collada.common import DaeBrokenRefError, DaeError, DaeUnsupportedError
+import numpy as np
+from pydrake.geometry import (
+    AddRigidHydroelasticProperties,
+    GeometryInstance,
+    Mesh,
+    MeshSource,
+    ProximityProperties,
+    SceneGraph,
+)
+from pydrake.math import RigidTransform
+import trimesh
+
+from tofssm_drake.errors import UserError
+from tofssm_drake.raycast.gltf_file import read_gltf
+from tofssm_drake.raycast.mesh_parts import orient_faces
+from tofssm_drake.raycast.obj_file import read_obj, read_obj_vertices
+from tofssm_drake.raycast.triangle_tree import (
+    TriangleTree,
+    make_triangle_tree,
+)
+from tofssm_drake.raycast.vtk_file import check_vtk
+
+# What a COLLADA file may have besides its surface, such as lost textures.
+_IGNORED = [DaeBrokenRefError, DaeUnsupportedError]
+
+
+@dc.dataclass(frozen=True, eq=False, kw_only=True)
+class TriangleMesh:
+    """What rays see of a Mesh, and what they can start inside of."""
+
+    surface: TriangleTree
+    """All triangles."""
+    solid: TriangleTree | None
+    """Those that bound volumes; the same tree if all do, None if none do."""
+
+
+def make_triangle_mesh(vertices: np.ndarray, faces: np.ndarray):
+    """Makes a TriangleMesh.
+
+    Args:
+        vertices: Positions in G, shape (v, 3), m.
+        faces: Indices of each triangle's corners, shape (n, 3).
+
+    Raises:
+        ValueError: If there is no triangle, a corner is not a vertex, or a
+            vertex is not finite.
+    """
+    vertices = np.asarray(vertices, dtype=float)
+    faces = np.asarray(faces, dtype=np.int64)
+    if len(faces) == 0:
+        raise ValueError("it has no triangle")
+    _check_corners(vertices, faces)
+    faces, is_solid, welded = orient_faces(vertices, faces)
+    surface = make_triangle_tree(vertices, faces)
+    solid = surface if is_solid.any() else None
+    if solid and not (is_solid.all() and welded is vertices):
+        solid = make_triangle_tree(welded, faces[is_solid])
+    return TriangleMesh(surface=surface, solid=solid)
+
+
+def describe_mesh_source(mesh) -> str:
+    """Returns a text that identifies the file and the scale."""
+    source: MeshSource = mesh.source()
+    if source.is_path():
+        what = str(source.path())
+    else:
+        memory = source.in_memory()
+        digest = hashlib.sha256(memory.mesh_file.contents())
+        for _, file in sorted(memory.supporting_files.items()):
+            try:
+                digest.update(_read_supporting_file(file))
+            except OSError:
+                # The reader that needs the file names it.
+                digest.update(b"missing")
+        what = digest.hexdigest()
+    scale = np.asarray(mesh.scale3(), dtype=float)
+    return f"{what} {mesh.extension()} {scale.tolist()}"
+
+
+def read_mesh(mesh: Mesh, name: str) -> TriangleMesh:
+    """Reads the surface of a Mesh shape, with its scale.
+
+    Args:
+        mesh: Of a file or in memory: .obj, .gltf, .stl, .dae or tetrahedral
+            .vtk.
+        name: Of the geometry, for messages.
+
+    Raises:
+        UserError: If the file cannot be read or has no surface.
+    """
+    readers = {
+        ".obj": _read_obj,
+        ".gltf": _read_gltf,
+        ".stl": _read_stl,
+        ".dae": _read_dae,
+        ".vtk": _read_vtk,
+    }
+    reader = readers.get(mesh.extension().lower())
+    where = _name_mesh(mesh, name)
+    if reader is None:
+        raise UserError(
+            f"{where}: '{mesh.extension()}' is not one of {', '.join(readers)}"
+        )
+    try:
+        return make_triangle_mesh(*reader(mesh))
+    except (AttributeError, TypeError) as error:
+        raise UserError(
+            f"{where} cannot be read: it is not as its format demands: {error}"
+        ) from error
+    except (
+        OSError,
+        RuntimeError,
+        ValueError,
+        LookupError,
+        SyntaxError,
+    ) as error:
+        reason = str(error).splitlines()[0] if str(error) else repr(error)
+        raise UserError(f"{where} cannot be read: {reason}") from error
+
+
+def check_hull_source(shape, name: str) -> None:
+    """Checks the file that Drake makes a convex hull of, if it is an OBJ.
+
+    Drake takes 0 for a coordinate that is not a number.
+
+    Args:
+        shape: A Convex.
+        name: Of the geometry, for messages.
+
+    Raises:
+        UserError: If it cannot be read, or a vertex is not three numbers.
+    """
+    if shape.extension().lower() != ".obj":
+        return
+    try:
+        read_obj_vertices(_read_source(shape.source()))
+    except (OSError, ValueError) as error:
+        raise UserError(
+            f"{_name_mesh(shape, name)} cannot be read: {error}"
+        ) from error
+
+
+def _name_mesh(mesh, name: str) -> str:
+    return f"geometry '{name}': mesh '{mesh.source().description()}'"
+
+
+def _read_source(source: MeshSource) -> bytes:
+    if source.is_path():
+        return _read_file(Path(source.path()))
+    return source.in_memory().mesh_file.contents()
+
+
+def _read_file(path: Path) -> bytes:
+    # A pipe or device might never end.
+    if path.exists() and not path.is_file():
+        raise ValueError(f"'{path}' is not a file")
+    return path.read_bytes()
+
+
+def _read_supporting_file(file) -> bytes:
+    return _read_file(file) if isinstance(file, Path) else file.contents()
+
+
+def _read_obj(mesh: Mesh):
+    vertices, faces = read_obj(_read_source(mesh.source()))
+    return vertices * mesh.scale3(), faces
+
+
+def _read_gltf(mesh: Mesh):
+    source = mesh.source()
+
+    def load(uri: str) -> bytes:
+        if source.is_path():
+            return _read_file(Path(source.path()).parent / unquote(uri))
+        files = source.in_memory().supporting_files
+        if uri not in files:
+            raise ValueError(f"its buffer '{uri}' is missing")
+        return _read_supporting_file(files[uri])
+
+    vertices, faces = read_gltf(_read_source(source), load)
+    return vertices * mesh.scale3(), faces
+
+
+def _read_stl(mesh: Mesh):
+    return _read_with_trimesh(mesh, "stl", unit=1.0)
+
+
+def _read_dae(mesh: Mesh):
+    """Reads COLLADA, in its own unit of length. Its axes stay as they are."""
+    contents = _read_source(mesh.source())
+    _check_dae(contents)
+    return _read_with_trimesh(mesh, "dae", unit=_find_dae_unit(contents))
+
+
+def _check_dae(contents: bytes) -> None:
+    """Checks vertices and indices: trimesh drops a broken part silently."""
+    try:
+        document = Collada(io.BytesIO(contents), ignore=_IGNORED)
+    except DaeError as error:
+        raise ValueError(f"it is not as its format demands: {error}") from error
+    for geometry in document.geometries:
+        for primitive in geometry.primitives:
+            if primitive.vertex_index is not None:
+                _check_corners(primitive.vertex, primitive.vertex_index)
+    # pycollada takes 0 for NaN.
+    for mesh in ElementTree.fromstring(contents).iterfind(".//{*}mesh"):
+        inputs = mesh.iterfind("./{*}vertices/{*}input[@semantic='POSITION']")
+        for source in [i.get("source", "").removeprefix("#") for i in inputs]:
+            numbers = mesh.findtext(
+                f"./{{*}}source[@id='{source}']/{{*}}float_array", ""
+            )
+            if not np.isfinite(np.array(numbers.split(), dtype=float)).all():
+                raise ValueError("it has a vertex that is not finite")
+
+
+def _check_corners(vertices: np.ndarray, corners: np.ndarray) -> None:
+    """Checks that all vertices are finite and all corners are vertices."""
+    bad = corners[(corners < 0) | (corners >= len(vertices))]
+    if bad.size > 0:
+        raise ValueError(
+            f"the index {bad.flat[0]} is not one of its"
+            f" {len(vertices)} vertices"
+        )
+    if not np.isfinite(vertices[corners]).all():
+        raise ValueError("it has a vertex that is not finite")
+
+
+def _find_dae_unit(contents: bytes) -> float:
+    """Returns the length of a COLLADA file's unit, m."""
+    unit = ElementTree.fromstring(contents).find("./{*}asset/{*}unit")
+    return 1.0 if unit is None else float(unit.get("meter", 1.0))
+
+
+def _read_with_trimesh(mesh: Mesh, file_type: str, *, unit: float):
+    """Returns vertices, in metres, and triangles, as they are in the file."""
+    contents = io.BytesIO(_read_source(mesh.source()))
+    try:
+        scene = trimesh.load_scene(
+            contents, file_type=file_type, process=False, maintain_order=True
+        )
+        surface = scene.to_mesh()
+    except Exception as error:
+        # A broken file may raise anything.
+        raise ValueError(f"it is not as its format demands: {error}") from error
+    return surface.vertices * (unit * mesh.scale3()), surface.faces
+
+
+def _read_vtk(mesh):
+    # The surface of a tetrahedral mesh is what Drake makes of it for rigid
+    # contact; its reader has no Python binding of its own.
+    check_vtk(_read_source(mesh.source()))
+    scene_graph = SceneGraph()
+    instance = GeometryInstance(RigidTransform(), mesh, "mesh")
+    properties = ProximityProperties()
+    AddRigidHydroelasticProperties(1.0, properties)
+    instance.set_proximity_properties(properties)
+    try:
+        geometry_id = scene_graph.RegisterAnchoredGeometry(
+            scene_graph.RegisterSource("reader"), instance
+        )
+    except SystemExit as error:
+        # What pydrake makes of an assertion that fails: bad binary cells.
+        raise ValueError(f"it is not as its format demands: {error}") from error
+    inspector = scene_graph.model_inspector()
+    return _unpack_surface(inspector.maybe_get_hydroelastic_mesh(geometry_id))
+
+
+def _unpack_surface(surface):
+    faces = [
+        (t.vertex(0), t.vertex(1), t.vertex(2)) for t in surface.triangles()
+    ]
+    return np.array(surface.vertices()), np.array(faces).reshape(-1, 3)

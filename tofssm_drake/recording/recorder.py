@@ -1,0 +1,493 @@
+"""Recorder of one row per control tick."""
+
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+from pydrake.common.value import Value
+from pydrake.systems.framework import (
+    Diagram,
+    DiagramBuilder,
+    EventStatus,
+    LeafSystem,
+    ValueProducer,
+)
+from pydrake.systems.primitives import Multiplexer, VectorLogSink
+
+from tofssm_drake.messages import (
+    RINGS,
+    MaskedScan,
+    Reading,
+    RobotState,
+    SafetyIndex,
+    Separation,
+    make_empty_safety_index,
+    make_empty_separation,
+)
+from tofssm_drake.people.motion import HumanMotion, capsule_ends_over_time
+from tofssm_drake.recording.samples import RING_COLUMNS, Samples, narrow_type
+
+# Messages are packed when there are that many.
+_PACK_AT = 512
+# Rows of truth per call, so that few skeletons exist at a time.
+_TRUTH_ROWS = 1024
+
+_COUNTS = ("clear", "valid", "masked", "faulted")
+# Column by field of the message.
+_OF_SEPARATION = {
+    "measured_distance": "distance",
+    "closing_speed": "k_o",
+    "link_closing_speed": "k_l",
+    "sensor": "sensor",
+    "health": "health",
+    "sequence": "sequence",
+    "sample_time": "time",
+}
+_OF_DSI = ("d_C", "d_R", "dsi_raw", "dsi", "dsi_C", "dsi_R")
+
+
+def pack_messages(
+    separations: list[Separation], indices: list[SafetyIndex]
+) -> dict[str, np.ndarray]:
+    """Lays messages out as columns.
+
+    Args:
+        separations: k separations of the same m links, k > 0.
+        indices: Their safety indices.
+
+    Returns:
+        Arrays (k, m) by name of the recorder's column. The distance of a
+        link without any sample is NaN, because nothing is known.
+    """
+    k = len(separations)
+
+    def stack(messages, field):
+        # Much faster than np.stack, and this runs during the simulation.
+        flat = np.concatenate([getattr(m, field) for m in messages])
+        return flat.reshape(k, -1, *flat.shape[1:])
+
+    packed = {
+        name: stack(separations, field)
+        for name, field in _OF_SEPARATION.items()
+    }
+    packed["measured_distance"] = np.where(
+        packed["sequence"] < 0, np.nan, packed["measured_distance"]
+    )
+    count = stack(separations, "count")
+    packed |= {name: count[..., i] for i, name in enumerate(_COUNTS)}
+    return packed | {name: stack(indices, name) for name in _OF_DSI}
+
+
+class Truth(Protocol):
+    """What computes the truth, see `metrics.ground_truth.TruthModel`."""
+
+    num_positions: int
+    layout: Any
+    """Where each quantity is in a row, see `metrics.truth.TruthLayout`."""
+
+    def calc(
+        self, *, q: np.ndarray, qd: np.ndarray, skeleton: np.ndarray
+    ) -> np.ndarray:
+        """Returns one row for each row of the arguments."""
+
+
+class _Scan(NamedTuple):
+    time: float
+    distance: np.ndarray
+    reading: np.ndarray
+    fault: np.ndarray
+
+
+def _pack_scans(scans):
+    """Returns k > 0 scans of one ring as `Samples.scan` has them."""
+    shape = (len(scans), -1)
+    reading = np.concatenate([scan.reading for scan in scans])
+    reading = reading.astype(np.int8).reshape(shape)
+    fault = np.concatenate([scan.fault for scan in scans])
+    fault = fault.astype(np.int8).reshape(shape)
+    distance = np.concatenate([scan.distance for scan in scans])
+    distance = distance.astype(np.float32).reshape(shape)
+    distance[reading == Reading.CLEAR] = np.inf
+    distance[reading == Reading.FAULTED] = np.nan
+    return {
+        "time": np.array([scan.time for scan in scans]),
+        "distance": distance,
+        "reading": reading,
+        "fault": fault,
+    }
+
+
+def _join(parts):
+    """Joins dictionaries of arrays, of which there is at least one."""
+    return {
+        name: np.concatenate([part[name] for part in parts])
+        for name in parts[0]
+    }
+
+
+class _Log:
+    """The messages that one Context recorded, with the time of each."""
+
+    def __init__(self, num_rings):
+        self.times = []
+        self.separations = []
+        self.indices = []
+        self.packed = []
+        self.scans = [[] for _ in range(num_rings)]
+        self.packed_scans = [[] for _ in range(num_rings)]
+        self.sequence = [-1] * num_rings
+        self.state_times = []
+        self.ring_states = []
+        self.reasons = []
+        # The last of each.
+        self.separation = None
+        self.some_missing = True
+        self.states = None
+        self.why = None
+
+    def pack(self):
+        """Turns the messages into columns, a tenth of their size."""
+        if self.separations:
+            self.packed.append(pack_messages(self.separations, self.indices))
+            self.separations, self.indices = [], []
+        for scans, packed in zip(self.scans, self.packed_scans, strict=True):
+            if scans:
+                packed.append(_pack_scans(scans))
+                scans.clear()
+
+
+def _find_in_force(times, t):
+    """Returns the index of the entry in force just before each t.
+
+    Args:
+        times: When each entry came, s, in order; the first is -inf.
+        t: Times, s, (k,).
+    """
+    return np.searchsorted(times, t, side="left") - 1
+
+
+class MessageLog(LeafSystem):
+    """Keeps the messages of a run, each one once.
+
+    .. pydrake_system::
+
+        name: MessageLog
+        input_ports:
+        - ring_states
+        - reason
+        - separation
+        - dsi
+        - masked_scan_base
+        - masked_scan_elbow
+        - masked_scan_tool
+
+    A part of `SampleRecorder`. As in `VectorLogSink` the log lives in the
+    Context, but not in its State.
+
+    The messages are read in the discrete update of each tick, where the
+    safety law itself evaluates them. A publish would come after the law's
+    state has changed, so that Drake would compute them again, which costs as
+    much as the law. A message read at a tick is in force from then on. It is
+    kept when `separation` or a state is new: by contract `dsi` does not change
+    without a new separation.
+
+    Args:
+        period: Control tick, s.
+        rings: Names of the m watched links, as in the messages.
+        has_scans: Whether there are `masked_scan` ports.
+    """
+
+    def __init__(self, *, period: float, rings: tuple[str, ...], has_scans):
+        super().__init__()
+        m = len(rings)
+        self._rings = tuple(rings)
+        self._ring_states_port = self.DeclareVectorInputPort("ring_states", m)
+        self._reason_port = self.DeclareAbstractInputPort("reason", Value(""))
+        self._separation_port = self.DeclareAbstractInputPort(
+            "separation", Value(make_empty_separation(self._rings))
+        )
+        self._dsi_port = self.DeclareAbstractInputPort(
+            "dsi", Value(make_empty_safety_index(self._rings))
+        )
+        self._scan_ports = [
+            self.DeclareAbstractInputPort(
+                f"masked_scan_{name}", Value(MaskedScan())
+            )
+            for name in (self._rings if has_scans else ())
+        ]
+        self._log = self.DeclareCacheEntry(
+            description="log",
+            value_producer=ValueProducer(
+                allocate=lambda: Value(_Log(m)),
+                calc=ValueProducer.NoopCalc,
+            ),
+            prerequisites_of_calc={self.nothing_ticket()},
+        )
+        self.DeclareInitializationPublishEvent(self._start)
+        self.DeclarePeriodicDiscreteUpdateEvent(period, 0.0, self._update)
+
+    def find_log(self, context) -> _Log:
+        """Returns the log of one of this system's Contexts."""
+        return self._log.Eval(context)
+
+    def _start(self, context):
+        self._record(context, -np.inf)
+
+    def _update(self, context, discrete_state):
+        self._record(context, context.get_time())
+        return EventStatus.DidNothing()
+
+    def _record(self, context, time):
+        log = self.find_log(context)
+        separation = self._separation_port.Eval(context)
+        if separation is not log.separation:
+            log.separation = separation
+            log.times.append(time)
+            log.separations.append(separation)
+            log.indices.append(self._dsi_port.Eval(context))
+            sequence = separation.sequence.tolist()
+            log.some_missing = min(sequence) < 0
+            self._record_scans(context, log, sequence)
+            if len(log.separations) == _PACK_AT:
+                log.pack()
+        states = self._ring_states_port.Eval(context).tolist()
+        # Text costs more than numbers: one reason per robot state, and
+        # another one when the last ring has its first sample.
+        why = (min(states), log.some_missing)
+        if states != log.states or why != log.why:
+            if why != log.why:
+                log.reasons.append(self._reason_port.Eval(context))
+            else:
+                log.reasons.append(log.reasons[-1])
+            log.why = why
+            log.states = states
+            log.state_times.append(time)
+            log.ring_states.append(states)
+
+    def _record_scans(self, context, log, sequence):
+        """Keeps the scans that the new separation was made from."""
+        for i, port in enumerate(self._scan_ports):
+            if sequence[i] != log.sequence[i]:
+                log.sequence[i] = sequence[i]
+                masked = port.Eval(context)
+                if masked.scan.sequence >= 0:
+                    log.scans[i].append(
+                        _Scan(
+                            time=context.get_time(),
+                            distance=masked.scan.distance,
+                            reading=masked.reading,
+                            fault=masked.fault,
+                        )
+                    )
+
+
+def _lay_out_truth(truth, layout):
+    """Yields name and values of the columns of contacts and places."""
+    yield "contact_speed", truth[:, layout.contact_speed]
+    yield "robot_body", truth[:, layout.robot_body]
+    yield "person_part", truth[:, layout.person_part]
+    for part, where in (
+        ("robot_point", layout.p_WR),
+        ("person_point", layout.p_WH),
+        ("tcp", layout.p_WT),
+        ("person", layout.person),
+    ):
+        # The person's place has x and y only.
+        for axis, values in zip("xyz", truth[:, where].T, strict=False):
+            yield f"{part}_{axis}", values
+
+
+class SampleRecorder(Diagram):
+    """Records the run, one row per control tick and one per ring scan.
+
+    .. pydrake_system::
+
+        name: SampleRecorder
+        input_ports:
+        - position
+        - velocity
+        - speed_fraction
+        - products_placed
+        - ring_states
+        - reason
+        - separation
+        - dsi
+        - masked_scan_base
+        - masked_scan_elbow
+        - masked_scan_tool
+
+    `position` (rad), `velocity` (rad/s) and `products_placed` are the world's;
+    the rest is the monitor's. The person needs no port: its place follows
+    from its motion and the time.
+
+    A log has no dynamics and affects no output, so it is not State: it lives
+    in the Context like that of Drake's VectorLogSink. A row at t holds what
+    was in force when the tick began, before its updates. Vectors are written
+    by a periodic publish, hence one row each; of the monitor's messages only
+    new ones are kept, see `MessageLog`. What follows from both, above all the
+    truth, is computed when the samples are requested.
+
+    Args:
+        truth: Computes the truth; its links are those of `rings`.
+        motion: How the person moves; None: nobody.
+        period: Control tick, s.
+        rings: Names of the m watched links, as in the messages.
+        num_sensors: Sensors per ring. 0 declares no `masked_scan` ports and
+            records no scans (sensing without rings).
+        metadata: Plain values (JSON) to store with the samples, such as the
+            scenario, the seed and what `Samples` names.
+    """
+
+    def __init__(
+        self,
+        *,
+        truth: Truth,
+        motion: HumanMotion | None = None,
+        period: float = 0.008,
+        rings: tuple[str, ...] = RINGS,
+        num_sensors: int = 8,
+        metadata: dict | None = None,
+    ):
+        super().__init__()
+        self._truth = truth
+        self._motion = motion
+        self._rings = tuple(rings)
+        self._num_sensors = num_sensors
+        self._metadata = {"rings": list(rings), "period": period}
+        self._metadata.update(metadata or {})
+
+        sizes = {
+            "position": truth.num_positions,
+            "velocity": truth.num_positions,
+            "speed_fraction": 1,
+            "products_placed": 1,
+        }
+        ends = np.cumsum(list(sizes.values()))
+        self._part = {
+            name: slice(int(end) - size, int(end))
+            for (name, size), end in zip(sizes.items(), ends, strict=True)
+        }
+        builder = DiagramBuilder()
+        vectors = builder.AddNamedSystem(
+            "vectors", Multiplexer(list(sizes.values()))
+        )
+        self._vectors = builder.AddNamedSystem(
+            "vector_log", VectorLogSink(int(ends[-1]), period)
+        )
+        builder.Connect(
+            vectors.get_output_port(), self._vectors.get_input_port()
+        )
+        self._messages = builder.AddNamedSystem(
+            "message_log",
+            MessageLog(
+                period=period, rings=self._rings, has_scans=num_sensors > 0
+            ),
+        )
+        for i, name in enumerate(sizes):
+            builder.ExportInput(vectors.get_input_port(i), name)
+        for i in range(self._messages.num_input_ports()):
+            port = self._messages.get_input_port(i)
+            builder.ExportInput(port, port.get_name())
+        builder.BuildInto(self)
+
+    def make_samples(self, root_context) -> Samples:
+        """Returns what was recorded so far.
+
+        Args:
+            root_context: Context of the outermost Diagram, which may be this
+                system itself.
+
+        Returns:
+            New arrays; the recording may go on.
+        """
+        vector_log = self._vectors.FindLog(root_context)
+        log = self._messages.find_log(
+            self._messages.GetMyContextFromRoot(root_context)
+        )
+        log.pack()
+        data = vector_log.data().T
+        plain = {name: data[:, where] for name, where in self._part.items()}
+        t = vector_log.sample_times()
+        truth = self._calc_truth(plain, t)
+        layout = self._truth.layout
+        column = {}
+
+        def insert(name, values, kind=None):
+            column[name] = narrow_type(kind or name, values)
+
+        states, reasons = self._lay_out_states(log, t)
+        insert("t", t)
+        for prefix, name in (("q", "position"), ("qd", "velocity")):
+            for i, values in enumerate(plain[name].T):
+                insert(f"{prefix}_{i}", values)
+        insert("tcp_speed", truth[:, layout.tcp_speed])
+        insert("speed_fraction", plain["speed_fraction"][:, 0])
+        # psi is the lowest of the links' states (paper, II-A).
+        insert("robot_state", states.min(axis=1))
+        insert("products_placed", plain["products_placed"][:, 0])
+        insert("true_distance", truth[:, layout.distance])
+        per_ring = self._lay_out_messages(log, t) | {
+            "state": states,
+            "true_distance": truth[:, layout.ring_distance],
+            "true_azimuth": truth[:, layout.ring_azimuth],
+            "true_elevation": truth[:, layout.ring_elevation],
+        }
+        for i, ring in enumerate(self._rings):
+            for name in RING_COLUMNS:
+                insert(f"{ring}_{name}", per_ring[name][:, i], name)
+        for name, values in _lay_out_truth(truth, layout):
+            insert(name, values)
+        column["reason"] = reasons
+        scan = {}
+        if self._num_sensors:
+            scan = {
+                ring: self._join_scans(parts)
+                for ring, parts in zip(
+                    self._rings, log.packed_scans, strict=True
+                )
+            }
+        return Samples(column=column, scan=scan, metadata=dict(self._metadata))
+
+    def _calc_truth(self, plain, t):
+        truth = np.empty((len(t), self._truth.layout.size))
+        for start in range(0, len(t), _TRUTH_ROWS):
+            part = slice(start, start + _TRUTH_ROWS)
+            truth[part] = self._truth.calc(
+                q=plain["position"][part],
+                qd=plain["velocity"][part],
+                skeleton=self._calc_skeletons(t[part]),
+            )
+        return truth
+
+    def _calc_skeletons(self, t):
+        if self._motion is None:
+            return np.empty((len(t), 0))
+        return capsule_ends_over_time(self._motion, t).reshape(len(t), -1)
+
+    def _lay_out_messages(self, log, t):
+        # Nothing is known before the first, as at a start in mid-air.
+        parts = [
+            pack_messages(
+                [make_empty_separation(self._rings)],
+                [make_empty_safety_index(self._rings)],
+            ),
+            *log.packed,
+        ]
+        which = _find_in_force([-np.inf, *log.times], t)
+        return {name: values[which] for name, values in _join(parts).items()}
+
+    def _lay_out_states(self, log, t):
+        stop = [float(RobotState.STOP)] * len(self._rings)
+        states = np.array([stop, *log.ring_states])
+        reasons = np.array(["", *log.reasons], dtype=object)
+        which = _find_in_force([-np.inf, *log.state_times], t)
+        return states[which], reasons[which]
+
+    def _join_scans(self, parts):
+        if parts:
+            return _join(parts)
+        return {
+            "time": np.empty(0),
+            "distance": np.empty((0, self._num_sensors), dtype=np.float32),
+            "reading": np.empty((0, self._num_sensors), dtype=np.int8),
+            "fault": np.empty((0, self._num_sensors), dtype=np.int8),
+        }

@@ -1,0 +1,1 @@
+"""Real rings: frames, receiver, Drake systems, simulated devices."""

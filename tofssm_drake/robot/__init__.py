@@ -1,1 +1,0 @@
-"""The UR10: kinematics, pick-and-place program, simulated controller."""

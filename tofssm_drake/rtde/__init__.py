@@ -1,0 +1,1 @@
+"""UR robots: protocol, client, Drake systems, simulated robot."""

@@ -1,1 +1,0 @@
-"""From light to a separation: ring, measurement model, mask, distance."""

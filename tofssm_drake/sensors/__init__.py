@@ -1,0 +1,1 @@
+"""The world's side of sensing: Time-of-Flight rings, planar lidar."""

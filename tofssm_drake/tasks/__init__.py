@@ -1,0 +1,1 @@
+"""What the arm does and carries."""

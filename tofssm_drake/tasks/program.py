@@ -1,0 +1,647 @@
+"""The task: ten products picked from a table and put into a box.
+
+The paper's robot program (section III): ten products, the base joint turns
+180 degrees between pick and place, the tool peaks at 1.7 m/s at a radius of
+0.82 m. A program is a nominal motion q(s) over path time s. A speed fraction
+rho in [0, 1] scales the rate of s and nothing else, as a robot's speed slider
+does: the path itself cannot change.
+"""
+
+import bisect
+import dataclasses as dc
+import functools
+
+import numpy as np
+from pydrake.systems.framework import (
+    BasicVector,
+    Context,
+    DiscreteValues,
+    LeafSystem,
+)
+import ruckig
+
+from tofssm_drake.arms.kinematics import (
+    RingKinematics,
+    calc_tool_down_joints,
+)
+from tofssm_drake.errors import UserError, require, require_period
+from tofssm_drake.kernels import njit
+
+
+@dc.dataclass(kw_only=True)
+class ProgramConfig:
+    """Where the products lie and how fast the robot works."""
+
+    # Number of products; each has its own slot on the pick table and in the
+    # box.
+    products: int = 10
+
+    # Azimuth of the hover point over the pick table, deg about the base's z.
+    pick_azimuth: float = -90.0
+
+    # The base joint turns by this much from pick to place, deg.
+    sweep: float = 180.0
+
+    # Distance of both hover points from the base's axis, m (the paper's r_o).
+    hover_radius: float = 0.82
+
+    # Height of the tool at both hover points above the floor, m (assumed).
+    hover_height: float = 0.95
+
+    # Peak speed of the tool while sweeping, m/s (the paper's V_lmax). At
+    # hover_radius it must keep the base joint below its 120 deg/s.
+    sweep_speed: float = 1.7
+
+    # Acceleration limit of the base joint, rad/s^2 (assumed).
+    base_acceleration: float = 6.0
+
+    # Jerk limit of the base joint, rad/s^3 (assumed).
+    base_jerk: float = 80.0
+
+    # Speed, acceleration and jerk limit of the other joints, rad/s, rad/s^2,
+    # rad/s^3 (assumed).
+    arm_speed: float = 2.0
+    arm_acceleration: float = 15.0
+    arm_jerk: float = 300.0
+
+    # Vertical speed of the tool where it enters the last, straight part of
+    # its way down to a slot, m/s (assumed), and the length of that part, m.
+    # The product in the gripper clears the box's wall above it.
+    approach_speed: float = 0.8
+    approach_height: float = 0.125
+
+    # How long the robot rests while the gripper closes or opens, s (assumed);
+    # the gripper's signal changes in the middle of it.
+    gripper_dwell: float = 0.2
+
+    # Slots on the pick table: middle of the grid in world, m, (3,); the slots
+    # are filled in rows along x.
+    pick_center: list[float] = dc.field(
+        default_factory=lambda: [0.0, -0.82, 0.7275]
+    )
+    # Distance between slots along x and y, m, (2,).
+    pick_pitch: list[float] = dc.field(default_factory=lambda: [0.10, 0.10])
+    # Slots per row.
+    pick_columns: int = 5
+
+    # The same for the slots in the box.
+    place_center: list[float] = dc.field(
+        default_factory=lambda: [0.0, 0.82, 0.7335]
+    )
+    place_pitch: list[float] = dc.field(default_factory=lambda: [0.08, 0.10])
+    place_columns: int = 5
+
+    # Direction of the tool's x axis (along which the fingers close) over the
+    # pick table, deg about the world's z.
+    pick_yaw: float = 180.0
+
+    def check(self, where: str) -> None:
+        """Raises UserError with one line if a setting is out of range."""
+        require(
+            1 <= self.products <= 100,
+            f"{where}.products: must be from 1 to 100, got {self.products}",
+        )
+        for name, (unit, low, high) in _RANGES.items():
+            value = getattr(self, name)
+            require(
+                low <= value <= high,
+                f"{where}.{name}: must be from {low:g} to {high:g} {unit}, "
+                f"got {value:g}",
+            )
+        require(
+            0 < abs(self.sweep) <= 270,
+            f"{where}.sweep: must be within 270 deg and not 0, "
+            f"got {self.sweep:g}",
+        )
+        self._check_joint_speeds(where)
+        for name, size in _SIZES.items():
+            require(
+                len(getattr(self, name)) == size,
+                f"{where}.{name}: must have {size} numbers",
+            )
+        for name in ("pick_columns", "place_columns"):
+            require(
+                getattr(self, name) >= 1, f"{where}.{name}: must be at least 1"
+            )
+
+    def _check_joint_speeds(self, where):
+        limit = np.deg2rad(120.0)
+        require(
+            self.sweep_speed / self.hover_radius <= limit,
+            f"{where}.sweep_speed: {self.sweep_speed:g} m/s at "
+            f"{self.hover_radius:g} m needs more than the base joint's "
+            f"120 deg/s; at most {limit * self.hover_radius:.3f}",
+        )
+        require(
+            self.arm_speed <= limit,
+            f"{where}.arm_speed: at most {limit:.4f} rad/s (120 deg/s), "
+            f"got {self.arm_speed:g}",
+        )
+
+
+_RANGES = {
+    "hover_radius": ("m", 0.01, 10.0),
+    "hover_height": ("m", 0.01, 10.0),
+    "sweep_speed": ("m/s", 0.001, 100.0),
+    "base_acceleration": ("rad/s^2", 0.001, 1e4),
+    "base_jerk": ("rad/s^3", 0.001, 1e6),
+    "arm_speed": ("rad/s", 0.001, 100.0),
+    "arm_acceleration": ("rad/s^2", 0.001, 1e4),
+    "arm_jerk": ("rad/s^3", 0.001, 1e6),
+    "approach_speed": ("m/s", 0.001, 100.0),
+    "approach_height": ("m", 0.001, 10.0),
+    "gripper_dwell": ("s", 0.0, 60.0),
+}
+"""Unit and range by setting, far wider than any robot's: planning works within
+them."""
+_SIZES = {
+    "pick_center": 3,
+    "pick_pitch": 2,
+    "place_center": 3,
+    "place_pitch": 2,
+}
+"""Numbers of each list."""
+
+
+def calc_slots(
+    *, center: list[float], pitch: list[float], columns: int, count: int
+) -> np.ndarray:
+    """Returns the middle of each slot of a grid, m, (count, 3).
+
+    Rows run along x, `columns` slots each, and follow one another along y.
+    """
+    index = np.arange(count)
+    rows = -(-count // columns)
+    slots = np.tile(np.asarray(center, dtype=float), (count, 1))
+    slots[:, 0] += (index % columns - (columns - 1) / 2) * pitch[0]
+    slots[:, 1] += (index // columns - (rows - 1) / 2) * pitch[1]
+    return slots
+
+
+def calc_pick_slots(config: ProgramConfig) -> np.ndarray:
+    """Returns where the products lie at first, m in world, (n, 3)."""
+    return calc_slots(
+        center=config.pick_center,
+        pitch=config.pick_pitch,
+        columns=config.pick_columns,
+        count=config.products,
+    )
+
+
+def calc_place_slots(config: ProgramConfig) -> np.ndarray:
+    """Returns where the products lie afterwards, m in world, (n, 3)."""
+    return calc_slots(
+        center=config.place_center,
+        pitch=config.place_pitch,
+        columns=config.place_columns,
+        count=config.products,
+    )
+
+
+@njit(cache=True)
+def evaluate_pieces(start, coefficients, s, motion):
+    """Evaluates a piecewise cubic joint motion.
+
+    Args:
+        start: Path time at which each piece starts, s, ascending, (p,).
+        coefficients: q, q', q'', q''' at each start, (p, 4, n).
+        s: Path time, s; held at zero before the first piece. The last piece
+            is at rest.
+        motion: Written: q, q', q'' at s, (3, n).
+    """
+    low = 0
+    high = start.shape[0]
+    while high - low > 1:
+        middle = (low + high) // 2
+        if start[middle] <= s:
+            low = middle
+        else:
+            high = middle
+    u = max(s - start[low], 0.0)
+    for j in range(motion.shape[1]):
+        p = coefficients[low, 0, j]
+        v = coefficients[low, 1, j]
+        a = coefficients[low, 2, j]
+        jerk = coefficients[low, 3, j]
+        motion[0, j] = p + u * (v + u * (a / 2 + u * jerk / 6))
+        motion[1, j] = v + u * (a + u * jerk / 2)
+        motion[2, j] = a + u * jerk
+
+
+@njit(cache=True)
+def advance_path_time(state, time, period):
+    """Returns path time and its first two derivatives within a tick.
+
+    Args:
+        state: [path time, rate, change of the rate, time] at the tick,
+            s, 1, 1/s, s.
+        time: Now, s; at most one period after the tick.
+        period: Of the tick, s.
+    """
+    elapsed = min(max(time - state[3], 0.0), period)
+    rate = state[1] + elapsed * state[2]
+    s = state[0] + elapsed * (state[1] + rate) / 2
+    return s, rate, state[2]
+
+
+@njit(cache=True)
+def begin_tick(state, time, period, duration, speed_fraction):
+    """Moves the state on to a tick and sets the rate of path time from there.
+
+    Args:
+        state: As in `advance_path_time`, of the tick before; overwritten.
+        time: Of the tick, s.
+        period: Of the tick, s.
+        duration: Path time at the end, s, which it does not pass.
+        speed_fraction: Where the rate goes within the period, clipped to
+            [0, 1]; NaN counts as 0.
+
+    Returns:
+        Path time at the tick, s.
+    """
+    s, rate, _ = advance_path_time(state, time, period)
+    # NaN fails both comparisons and stops the robot.
+    wanted = min(speed_fraction, 1.0) if speed_fraction > 0.0 else 0.0
+    state[0] = min(s, duration)
+    state[1] = rate
+    state[2] = (wanted - rate) / period
+    state[3] = time
+    return state[0]
+
+
+@njit(cache=True)
+def calc_motion_commanded(start, coefficients, state, time, period, motion):
+    """Calculates q, qd, qdd of the motion at speed fraction ds/dt.
+
+    q = q(s), qd = q' ds/dt, qdd = q'' (ds/dt)^2 + q' d2s/dt2.
+
+    Args:
+        start: As in `evaluate_pieces`, like the next.
+        coefficients: Of the path.
+        state: As in `advance_path_time`, like the next two.
+        time: Now, s.
+        period: Of the tick, s.
+        motion: Written: q, qd, qdd, (3 n,).
+    """
+    n = coefficients.shape[2]
+    s, rate, change = advance_path_time(state, time, period)
+    path = np.empty((3, n))
+    evaluate_pieces(start, coefficients, s, path)
+    for j in range(n):
+        motion[j] = path[0, j]
+        motion[n + j] = path[1, j] * rate
+        motion[2 * n + j] = path[2, j] * rate * rate + path[1, j] * change
+
+
+@dc.dataclass(frozen=True, eq=False, kw_only=True)
+class ProgramPath:
+    """A nominal motion over path time, with what the gripper does.
+
+    Made by `make_program_path`. Path time is the time it takes at speed
+    fraction 1.
+    """
+
+    start: np.ndarray
+    """Path time at which each cubic piece starts, s, (p,)."""
+    coefficients: np.ndarray
+    """q, q', q'', q''' at each start, (p, 4, 6)."""
+    duration: float
+    """Path time at the end, s."""
+    close_time: tuple[float, ...]
+    """When the gripper closes on each product, s."""
+    open_time: tuple[float, ...]
+    """When it lets go of it, s."""
+
+    def calc_motion(self, s: float) -> np.ndarray:
+        """Returns q, q', q'' at path time s, (3, 6); q' = dq/ds."""
+        motion = np.empty((3, self.coefficients.shape[2]))
+        evaluate_pieces(self.start, self.coefficients, s, motion)
+        return motion
+
+    def calc_products_placed(self, s: float) -> int:
+        """Returns how many products were let go of up to path time s."""
+        return bisect.bisect_right(self.open_time, s)
+
+    def calc_gripper_closed(self, s: float) -> bool:
+        """Returns whether the gripper is closed at path time s."""
+        closed = bisect.bisect_right(self.close_time, s)
+        return closed > self.calc_products_placed(s)
+
+
+class _Path:
+    """Strings jerk-limited motions together; its state is the end so far."""
+
+    def __init__(self, q, speed, acceleration, jerk):
+        self.limits = (speed, acceleration, jerk)
+        self.q = np.array(q, dtype=float)
+        self.qd = np.zeros(len(q))
+        self.time = 0.0
+        self.start = []
+        self.coefficients = []
+
+    def move(self, q, qd=None, joints=None):
+        """Appends the fastest motion to q with end speed qd.
+
+        Joints that do not move are left out, so that they stay exactly still.
+        """
+        n = len(self.q)
+        joints = list(range(n)) if joints is None else joints
+        qd = np.zeros(n) if qd is None else qd
+        given = ruckig.InputParameter(len(joints))
+        given.current_position = self.q[joints].tolist()
+        given.current_velocity = self.qd[joints].tolist()
+        given.target_position = q[joints].tolist()
+        given.target_velocity = qd[joints].tolist()
+        given.max_velocity = self.limits[0][joints].tolist()
+        given.max_acceleration = self.limits[1][joints].tolist()
+        given.max_jerk = self.limits[2][joints].tolist()
+        trajectory = ruckig.Trajectory(len(joints))
+        try:
+            result = ruckig.Ruckig(len(joints)).calculate(given, trajectory)
+        except (ruckig.RuckigError, ValueError):
+            # ValueError: ruckig has no name for some of its own results.
+            result = None
+        if result not in (ruckig.Result.Working, ruckig.Result.Finished):
+            raise UserError(
+                "program: no motion within these limits of speed, "
+                "acceleration and jerk; those by default have one"
+            )
+        # Every time at which a joint's jerk changes starts a new piece.
+        knots = [0.0]
+        for profile in trajectory.profiles[0]:
+            brake = sum(profile.brake.t[:2]) if profile.brake else 0.0
+            knots.extend(brake + np.cumsum(profile.t))
+        knots = np.unique(np.clip(knots, 0.0, trajectory.duration))
+        knots = knots[np.diff(knots, append=np.inf) > 1e-9]
+        ends = np.append(knots[1:], trajectory.duration)
+        for begin, end in zip(knots, ends, strict=True):
+            if end - begin <= 1e-9:
+                continue
+            at_begin = trajectory.at_time(begin)
+            # Acceleration is continuous and linear in the piece.
+            at_end = trajectory.at_time(end)
+            piece = np.zeros((4, n))
+            piece[0] = self.q
+            piece[:3, joints] = at_begin
+            piece[3, joints] = (np.array(at_end[2]) - np.array(at_begin[2])) / (
+                end - begin
+            )
+            self.start.append(self.time + begin)
+            self.coefficients.append(piece)
+        self.time += trajectory.duration
+        self.q = np.array(q, dtype=float)
+        self.qd = np.array(qd, dtype=float)
+
+    def rest(self, duration):
+        """Appends a rest at the end so far."""
+        piece = np.zeros((4, len(self.q)))
+        piece[0] = self.q
+        self.start.append(self.time)
+        self.coefficients.append(piece)
+        self.time += duration
+
+
+def _require_approachable(config, rate, limit):
+    """Raises UserError unless every joint is fast enough at a slot.
+
+    Args:
+        config: Of the program.
+        rate: Of the joints per height of the tool, rad/m, (6,).
+        limit: Speed limits of the joints, rad/s, (6,).
+    """
+    needed = np.abs(rate) * config.approach_speed
+    worst = int(np.argmax(needed / limit))
+    if needed[worst] > limit[worst]:
+        name = "sweep_speed" if worst == 0 else "arm_speed"
+        most = limit[worst] / abs(rate[worst])
+        raise UserError(
+            f"program.approach_speed: {config.approach_speed:g} m/s over a "
+            f"slot needs {needed[worst]:.3f} rad/s of joint q_{worst}, "
+            f"more than the {limit[worst]:.3f} rad/s of program.{name}; at "
+            f"most {np.floor(most * 1000) / 1000:g}"
+        )
+
+
+def make_program_path(
+    config: ProgramConfig, kinematics: RingKinematics
+) -> ProgramPath:
+    """Plans the whole task: each product from its slot into its slot.
+
+    Per product: from the hover point over the pick table to a point over the
+    product, straight down, grasp, up and back to the hover point, a turn of
+    the base joint alone, the same over the box, and back. Every part is a
+    time-optimal motion under limits of speed, acceleration and jerk
+    (Ruckig), so that q(s), q'(s), q''(s) are continuous.
+
+    Args:
+        config: Settings; checked.
+        kinematics: Of the robot in its cell.
+
+    Raises:
+        UserError: If a setting is out of range or a point out of reach.
+    """
+    config.check("program")
+    pick, place = _find_stations(config, kinematics)
+    speed = np.full(6, config.arm_speed)
+    acceleration = np.full(6, config.arm_acceleration)
+    jerk = np.full(6, config.arm_jerk)
+    speed[0] = config.sweep_speed / config.hover_radius
+    acceleration[0] = config.base_acceleration
+    jerk[0] = config.base_jerk
+    path = _Path(pick.hover, speed, acceleration, jerk)
+    close_time: list[float] = []
+    open_time: list[float] = []
+    for i in range(config.products):
+        close_time.append(_serve(path, config, kinematics, pick, i))
+        path.move(place.hover, joints=[0])
+        open_time.append(_serve(path, config, kinematics, place, i))
+        path.move(pick.hover, joints=[0])
+    duration = path.time
+    path.rest(np.inf)
+    return ProgramPath(
+        start=np.array(path.start),
+        coefficients=np.array(path.coefficients),
+        duration=duration,
+        close_time=tuple(close_time),
+        open_time=tuple(open_time),
+    )
+
+
+@dc.dataclass(frozen=True, eq=False, kw_only=True)
+class _Station:
+    """Pick table or box, as the robot works on it."""
+
+    slots: np.ndarray
+    """Middle of each product, m in world, (n, 3)."""
+    yaw: float
+    """Direction of the tool's x axis, rad."""
+    hover: np.ndarray
+    """Joints at the hover point, rad, (6,)."""
+
+
+def _find_stations(config, kinematics):
+    """Returns pick table and box."""
+    sweep = np.deg2rad(config.sweep)
+    azimuth = np.deg2rad(config.pick_azimuth)
+    pick_yaw = np.deg2rad(config.pick_yaw)
+    base = kinematics.X_WB[:, 3]
+    radial = kinematics.X_WB[:, :3] @ [np.cos(azimuth), np.sin(azimuth), 0]
+    p_WHover = base + config.hover_radius * radial
+    p_WHover[2] = config.hover_height
+    hover_pick = calc_tool_down_joints(kinematics, p_WHover, pick_yaw)
+    hover_place = hover_pick.copy()
+    hover_place[0] += sweep
+    return (
+        _Station(slots=calc_pick_slots(config), yaw=pick_yaw, hover=hover_pick),
+        _Station(
+            slots=calc_place_slots(config),
+            yaw=pick_yaw + sweep,
+            hover=hover_place,
+        ),
+    )
+
+
+def _serve(path, config, kinematics, station, i):
+    """Appends the way from hover point to slot i and back.
+
+    Returns:
+        When the gripper closes or opens, s.
+    """
+
+    def solve(p_WT):
+        q = calc_tool_down_joints(kinematics, p_WT, station.yaw)
+        for k in (0, 5):
+            turns = (station.hover[k] - q[k]) / (2 * np.pi)
+            q[k] += 2 * np.pi * np.round(turns)
+        return q
+
+    slot = station.slots[i]
+    up = np.array([0.0, 0.0, 1.0])
+    p_above = slot + config.approach_height * up
+    step = 1e-4 * up
+    rate = (solve(p_above + step) - solve(p_above - step)) / (2 * 1e-4)
+    _require_approachable(config, rate, path.limits[0])
+    above, rise = solve(p_above), rate * config.approach_speed
+    path.move(above, -rise)
+    path.move(solve(slot))
+    event = path.time + config.gripper_dwell / 2
+    path.rest(config.gripper_dwell)
+    path.move(above, rise)
+    path.move(station.hover)
+    return event
+
+
+class PickAndPlaceProgram(LeafSystem):
+    """Runs the nominal motion at the commanded speed fraction.
+
+    .. pydrake_system::
+
+        name: PickAndPlaceProgram
+        input_ports:
+        - speed_fraction
+        output_ports:
+        - motion_commanded
+        - position_commanded
+        - velocity_commanded
+        - acceleration_commanded
+        - gripper_closed
+        - products_placed
+        - task_done
+
+    At each tick it reads the speed fraction (clipped to [0, 1]; NaN counts as
+    0). The rate of path time goes there linearly within one period, so that
+    the commanded velocity is continuous. Path time never goes back and stays
+    at the end. Between ticks the motion goes on: the outputs of motion depend
+    on time, so a controller may run faster than the tick.
+
+    `position_commanded`, `velocity_commanded`, `acceleration_commanded` (6,
+    rad, rad/s, rad/s^2) are parts of `motion_commanded` (18), which costs one
+    evaluation instead of three. `gripper_closed` is 0 or 1, `products_placed`
+    counts products let go of in the box, `task_done` is 1 once the last one
+    is placed and the arm is back at its hover point; these three change at
+    ticks only, as a robot's digital output and registers do.
+
+    Args:
+        config: Settings; checked.
+        kinematics: Of the robot in its cell.
+        period: Control tick, s.
+    """
+
+    def __init__(
+        self,
+        *,
+        config: ProgramConfig,
+        kinematics: RingKinematics,
+        period: float = 0.008,
+    ):
+        super().__init__()
+        require_period(period)
+        self._path = make_program_path(config, kinematics)
+        self._period = period
+        self._speed_fraction = self.DeclareVectorInputPort("speed_fraction", 1)
+        # Path time, its rate, the rate's change, time of the tick.
+        self._progress = self.DeclareDiscreteState(4)
+        motion = {
+            self.discrete_state_ticket(self._progress),
+            self.time_ticket(),
+        }
+        self._motion = self.DeclareVectorOutputPort(
+            "motion_commanded", 18, self._calc_motion, motion
+        )
+        for i, name in enumerate(("position", "velocity", "acceleration")):
+            self.DeclareVectorOutputPort(
+                f"{name}_commanded",
+                6,
+                functools.partial(self._calc_part, part=i),
+                motion,
+            )
+        self._gripper_closed = self.DeclareDiscreteState(1)
+        self._products_placed = self.DeclareDiscreteState(1)
+        self._task_done = self.DeclareDiscreteState(1)
+        for name, index in (
+            ("gripper_closed", self._gripper_closed),
+            ("products_placed", self._products_placed),
+            ("task_done", self._task_done),
+        ):
+            self.DeclareStateOutputPort(name, index)
+        self.DeclarePeriodicDiscreteUpdateEvent(period, 0.0, self._update)
+
+    @property
+    def path(self) -> ProgramPath:
+        """The nominal motion."""
+        return self._path
+
+    def _calc_motion(self, context: Context, output: BasicVector) -> None:
+        calc_motion_commanded(
+            self._path.start,
+            self._path.coefficients,
+            context.get_discrete_state(self._progress).value(),
+            context.get_time(),
+            self._period,
+            output.get_mutable_value(),
+        )
+
+    def _calc_part(
+        self, context: Context, output: BasicVector, part: int
+    ) -> None:
+        motion = self._motion.Eval(context)
+        output.SetFromVector(motion[6 * part : 6 * part + 6])
+
+    def _update(self, context: Context, discrete_state: DiscreteValues) -> None:
+        s = begin_tick(
+            discrete_state.get_mutable_value(self._progress),
+            context.get_time(),
+            self._period,
+            self._path.duration,
+            self._speed_fraction.Eval(context)[0],
+        )
+        # Compared with the present values: the last tick of a stop has moved
+        # the robot, too, and path time may have been set from outside.
+        path = self._path
+        for index, value in (
+            (self._gripper_closed, path.calc_gripper_closed(s)),
+            (self._products_placed, path.calc_products_placed(s)),
+            (self._task_done, s >= path.duration),
+        ):
+            if value != discrete_state.get_value(index)[0]:
+                discrete_state.get_mutable_value(index)[0] = value
