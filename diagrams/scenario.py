@@ -4,13 +4,21 @@ import dataclasses as dc
 import difflib
 from importlib import resources
 import pathlib
+import re
+import types
+import typing
 
 import numpy as np
-from pydrake.common.yaml import yaml_dump_typed, yaml_load_typed
+from pydrake.common.yaml import yaml_load_typed
 import yaml
 
-from tofssm_drake.arms.cell_plant import require_ring_model
 from tofssm_drake.arms.sim_ur10 import SimUr10Config
+from tofssm_drake.diagrams.sensors import (
+    MotionCapture,
+    PlanarLidar,
+    Ring,
+    find_link_frames,
+)
 from tofssm_drake.diagrams.yaml_check import (
     check_yaml,
     get_children,
@@ -18,23 +26,27 @@ from tofssm_drake.diagrams.yaml_check import (
 )
 from tofssm_drake.errors import UserError, require
 from tofssm_drake.laws.config import SsmConfig
-from tofssm_drake.messages import RINGS
 from tofssm_drake.metrics.standards import AuditConfig
 from tofssm_drake.people.bvh import BvhRecording
 from tofssm_drake.people.walk import GeneratedWalk
-from tofssm_drake.perception.ideal_separation import IdealSeparationConfig
-from tofssm_drake.perception.lidar_separation import (
-    LIDAR,
-    LidarSeparationConfig,
-)
 from tofssm_drake.perception.occlusion_mask import OcclusionMaskConfig
 from tofssm_drake.perception.self_hits import SelfHitConfig
 from tofssm_drake.perception.separation import SeparationConfig
-from tofssm_drake.sensors.lidar_2d import Lidar2dConfig
-from tofssm_drake.sensors.tof_rings import TofRingConfig
 from tofssm_drake.tasks.program import ProgramConfig
 
-SENSINGS = ("tof", "ideal", "lidar")
+_NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
+
+# Keys of before, and what they are called now.
+_OLD_KEYS = {
+    "sensors_per_ring": "sensors.<ring>.count",
+    "sensing": "sensors, e.g. of the scenario MotionCapture or PlanarLidar",
+    "rings": "sensors.<ring>.sensor",
+    "ring_phases": "sensors.<ring>.phase",
+    "dead_sensors": "sensors.<ring>.dead_sensors",
+    "ideal": "sensors.<name>: !MotionCapture",
+    "lidar": "sensors.<name>: !PlanarLidar",
+    "lidar_separation": "sensors.<name>.separation of a !PlanarLidar",
+}
 
 
 @dc.dataclass(kw_only=True)
@@ -60,9 +72,6 @@ class Scenario:
     # law, the program and the record all run at it.
     control_period: float = 0.008
 
-    # Sensors per ring; models/rings/ holds the rings of 8 and of 16.
-    sensors_per_ring: int = 8
-
     # UR's real meshes as sensed and shown geometry of the robot instead of
     # capsules. Needs the extra `meshes`.
     robot_meshes: bool = False
@@ -78,23 +87,10 @@ class Scenario:
         default_factory=GeneratedWalk
     )
 
-    # How the monitor senses the person: "tof", the rings on the arm; "ideal",
-    # the person's true surface, as motion capture would know it; "lidar", a
-    # planar lidar at the robot's base. Settings of the others have no effect.
-    sensing: str = "tof"
-
-    # The Time-of-Flight sensors and the sampling of a ring.
-    rings: TofRingConfig = dc.field(default_factory=TofRingConfig)
-
-    # First sample of the rings base, elbow and tool, s; 0 is after one period.
-    # *Assumed*: all are triggered together; rings of equal phase are one
-    # system and cost one cast. Different values stagger them.
-    ring_phases: list[float] = dc.field(default_factory=lambda: [0.0, 0.0, 0.0])
-
-    # Sensors known to be dead, by ring: `{tool: [3]}`. They are ignored, and
-    # the robot is never faster than reduced. A failed sensor that is not
-    # listed stops the robot.
-    dead_sensors: dict[str, list[int]] = dc.field(default_factory=dict)
+    # What watches the person, by name.
+    sensors: dict[str, Ring | PlanarLidar | MotionCapture] = dc.field(
+        default_factory=dict
+    )
 
     # Which readings are the robot's own.
     mask: OcclusionMaskConfig = dc.field(default_factory=OcclusionMaskConfig)
@@ -104,20 +100,6 @@ class Scenario:
 
     # From readings to distance and directed speeds.
     separation: SeparationConfig = dc.field(default_factory=SeparationConfig)
-
-    # From the true person to distance and directed speeds.
-    ideal: IdealSeparationConfig = dc.field(
-        default_factory=IdealSeparationConfig
-    )
-
-    # The lidar. Its height is above the floor and must be below the robot's
-    # reach.
-    lidar: Lidar2dConfig = dc.field(default_factory=Lidar2dConfig)
-
-    # From the lidar's scans to distance and directed speeds.
-    lidar_separation: LidarSeparationConfig = dc.field(
-        default_factory=LidarSeparationConfig
-    )
 
     # The safety law.
     ssm: SsmConfig = dc.field(default_factory=SsmConfig)
@@ -148,40 +130,27 @@ class Scenario:
             f"{at}control_period: {self.control_period} must be from 0.001 "
             "to 0.1 s",
         )
-        require_ring_model(self.sensors_per_ring, f"{at}sensors_per_ring")
-        require(
-            len(self.ring_phases) == 3
-            and all(0.0 <= phase < 10.0 for phase in self.ring_phases),
-            f"{at}ring_phases: {self.ring_phases} must be three times of 0 s "
-            "or more, of the rings base, elbow and tool",
-        )
-        self._check_dead_sensors(f"{at}dead_sensors")
-        require(
-            self.sensing in SENSINGS,
-            f"{at}sensing: {self.sensing!r} is unknown, use one of "
-            f"{', '.join(SENSINGS)}",
-        )
+        self._check_sensors(f"{at}sensors")
         for field in dc.fields(self):
             value = getattr(self, field.name)
             if dc.is_dataclass(value):
                 value.check(f"{at}{field.name}")
         self._check_ticks(at)
 
-    def _check_dead_sensors(self, at):
-        """Raises UserError unless these sensors exist and others are left."""
-        n = self.sensors_per_ring
-        for ring, sensors in self.dead_sensors.items():
+    def _check_sensors(self, at):
+        """Raises UserError unless the sensors fit together."""
+        require(
+            bool(self.sensors),
+            f"{at}: there is none; without a sensor the robot cannot see "
+            "anybody",
+        )
+        for name, sensor in self.sensors.items():
             require(
-                ring in RINGS,
-                f"{at}: there is no ring {ring!r}, use one of "
-                f"{', '.join(RINGS)}",
+                _NAME.fullmatch(name) is not None,
+                f"{at}: {name!r} must be a name of letters, digits and _",
             )
-            require(
-                all(isinstance(i, int) and 0 <= i < n for i in sensors)
-                and len(set(sensors)) == len(sensors) < n,
-                f"{at}.{ring}: {sensors} must be different numbers from 0 to "
-                f"{n - 1}, and not all of them",
-            )
+            sensor.check(f"{at}.{name}")
+        find_link_frames(self.sensors)
 
     def _check_ticks(self, at):
         """Raises UserError unless a control tick is whole plant steps."""
@@ -194,35 +163,38 @@ class Scenario:
         )
 
 
-def find_dead_sensors(scenario: Scenario) -> np.ndarray:
-    """Returns whether each sensor is declared dead, ring by ring, (N,)."""
-    is_dead = np.zeros((len(RINGS), scenario.sensors_per_ring), dtype=bool)
-    for ring, sensors in scenario.dead_sensors.items():
-        is_dead[RINGS.index(ring), sensors] = True
-    return is_dead.ravel()
+def find_links(scenario: Scenario) -> tuple[str, ...]:
+    """Returns the names of the links that the sensors watch."""
+    return tuple(find_link_frames(scenario.sensors))
 
 
-def get_links(scenario: Scenario) -> tuple[str, ...]:
-    """Returns the names of the links that the sensing watches."""
-    return LIDAR if scenario.sensing == "lidar" else RINGS
+def find_lidars(scenario: Scenario) -> dict[str, PlanarLidar]:
+    """Returns the planar lidars among the sensors."""
+    return {
+        name: sensor
+        for name, sensor in scenario.sensors.items()
+        if isinstance(sensor, PlanarLidar)
+    }
 
 
 def make_law(scenario: Scenario) -> SsmConfig:
-    """Returns the law's settings for the sensing.
+    """Returns the law's settings for the sensors.
 
-    A lidar's distances are measured from the base's axis. If they are used as
-    they are, the law's constant distances grow by the radius of the robot's
+    A lidar's distances are measured from itself. If they are used as they
+    are, the law's constant distances grow by the radius of the robot's
     workspace (paper, Table: C_dC = r_o + 0.3 m).
     """
-    ssm = scenario.ssm
-    if scenario.sensing != "lidar":
-        return ssm
-    offset = scenario.lidar_separation.threshold_offset
+    offsets = {
+        lidar.separation.threshold_offset
+        for lidar in find_lidars(scenario).values()
+    }
+    offset = max(offsets, default=0.0)
 
     def grow(distance):
         # Exact in decimals: 0.3 + 0.82 is 1.12.
         return round(distance + offset, 12)
 
+    ssm = scenario.ssm
     return dc.replace(
         ssm,
         C_dC=grow(ssm.C_dC),
@@ -284,9 +256,19 @@ def load_scenario(
             f"{source}: no scenario {name!r}; {hint}there are "
             f"{', '.join(names)}"
         )
-    check_yaml(children[name], Scenario, source, name)
-    scenario = _load(source, children[name], Scenario())
+    scenario = _change(
+        _load_default(), children[name], source, name, replace=True
+    )
     return change_scenario(scenario, text, source="--scenario-text")
+
+
+def _load_default() -> Scenario:
+    """Returns the shipped scenario from which every other one starts."""
+    filename = find_default_scenarios()
+    children = get_children(parse_yaml(_read(filename), str(filename)))
+    return _change(
+        Scenario(), children["Default"], str(filename), "Default", replace=True
+    )
 
 
 def change_scenario(scenario: Scenario, text: str, *, source: str) -> Scenario:
@@ -320,8 +302,59 @@ def change_settings(settings, text: str, *, source: str, where: str = ""):
     if not text.strip():
         return settings
     node = parse_yaml(text, source)
+    return _change(settings, node, source, where, replace=False)
+
+
+def _change(settings, node, source, where, *, replace):
+    """Returns settings changed by a node.
+
+    Args:
+        settings: A dataclass.
+        node: The changes.
+        source: Where they are from, for the message.
+        where: Path of keys, for the message.
+        replace: Whether a mapping of names (sensors) replaces the one in
+            `settings`; else it changes the names that it has.
+    """
+    if type(settings) is Scenario:
+        _refuse_old_keys(node, source, where)
+    if not replace:
+        _keep_kinds(node, settings)
     check_yaml(node, type(settings), source, where)
-    return _load(source, node, settings)
+    return _load(source, node, settings, retain_map_defaults=not replace)
+
+
+def _refuse_old_keys(node, source, where):
+    """Raises UserError for a key of before, and names the new one."""
+    for key, child in get_children(node).items():
+        if key in _OLD_KEYS:
+            line = child.start_mark.line + 1
+            path = f"{where}.{key}" if where else key
+            raise UserError(f"{source}:{line}: {path}: is now {_OLD_KEYS[key]}")
+
+
+def _keep_kinds(node, settings):
+    """Gives mappings without a kind that of the settings they change."""
+    if not isinstance(node, yaml.MappingNode):
+        return
+    for key, child in get_children(node).items():
+        now = (
+            settings.get(key)
+            if isinstance(settings, dict)
+            else getattr(settings, key, None)
+        )
+        if not isinstance(child, yaml.MappingNode) or now is None:
+            continue
+        is_one_of_many = isinstance(settings, dict) or typing.get_origin(
+            typing.get_type_hints(type(settings)).get(key)
+        ) in (types.UnionType, typing.Union)
+        if (
+            is_one_of_many
+            and dc.is_dataclass(now)
+            and not child.tag.startswith("!")
+        ):
+            child.tag = f"!{type(now).__name__}"
+        _keep_kinds(child, now)
 
 
 def dump_scenario(scenario: Scenario) -> dict:
@@ -330,25 +363,29 @@ def dump_scenario(scenario: Scenario) -> dict:
     A tag in YAML (`human: !NoHuman {}`) becomes a key `kind`. `load_scenario`
     reads that as well, so the values give the same run again.
     """
-    text = yaml_dump_typed(scenario, schema=Scenario)
-    values = yaml.load(text, Loader=_PlainLoader)
-    kind = type(scenario.human).__name__
-    return values | {"human": {"kind": kind} | values["human"]}
+    return _dump(scenario, Scenario)
 
 
-# The C version is ten times faster; all wheels of PyYAML have it.
-_SafeLoader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
-
-
-class _PlainLoader(_SafeLoader):
-    """Reads a mapping with a tag like one without."""
-
-
-def _construct_tagged(loader, suffix, node):
-    return loader.construct_mapping(node, deep=True)
-
-
-_PlainLoader.add_multi_constructor("!", _construct_tagged)
+def _dump(value, schema):
+    """Returns a value of a schema as plain values."""
+    origin = typing.get_origin(schema)
+    is_union = origin in (types.UnionType, typing.Union)
+    if dc.is_dataclass(value):
+        hints = typing.get_type_hints(type(value))
+        kind = {"kind": type(value).__name__} if is_union else {}
+        return kind | {
+            field.name: _dump(getattr(value, field.name), hints[field.name])
+            for field in dc.fields(value)
+        }
+    if isinstance(value, dict):
+        item = typing.get_args(schema)[1]
+        return {key: _dump(child, item) for key, child in value.items()}
+    if isinstance(value, (list, tuple)):
+        item = typing.get_args(schema)[0]
+        return [_dump(child, item) for child in value]
+    if isinstance(value, np.ndarray):
+        return value.tolist()
+    return value
 
 
 def _read(filename: pathlib.Path) -> str:
@@ -362,10 +399,13 @@ def _read(filename: pathlib.Path) -> str:
         raise UserError(f"{filename}: is not text in UTF-8") from None
 
 
-def _load(source: str, node: yaml.Node, defaults):
+def _load(source: str, node: yaml.Node, defaults, *, retain_map_defaults):
     try:
         return yaml_load_typed(
-            schema=type(defaults), data=yaml.serialize(node), defaults=defaults
+            schema=type(defaults),
+            data=yaml.serialize(node),
+            defaults=defaults,
+            retain_map_defaults=retain_map_defaults,
         )
     except (
         AssertionError,

@@ -4,16 +4,13 @@ A message never changes: its arrays are read-only and a copy of it is the
 message itself, so that Drake's caches, logs and cloned Contexts cost nothing
 and cannot disagree.
 
-`n` is the number of sensors of a ring, `m` the number of watched links (three
-for rings: RINGS).
+`n` is the number of sensors of a ring, `m` the number of watched links.
 """
 
 import dataclasses as dc
 import enum
 
 import numpy as np
-
-RINGS = ("base", "elbow", "tool")
 
 
 class RobotState(enum.IntEnum):
@@ -220,7 +217,7 @@ class Separation(_Frozen):
     law need not know which one is used.
     """
 
-    name: tuple[str, ...] = RINGS
+    name: tuple[str, ...]
     """The m watched links."""
     sequence: np.ndarray
     """Number of each link's sample, (m,); changes with each new sample."""
@@ -251,7 +248,7 @@ class Separation(_Frozen):
 class SafetyIndex(_Frozen):
     """Distance Safety Index of each link with its thresholds (Algorithm 1)."""
 
-    name: tuple[str, ...] = RINGS
+    name: tuple[str, ...]
     sequence: np.ndarray
     time: np.ndarray
     """When the deciding sensor measured, s, (m,); -inf: never."""
@@ -352,7 +349,7 @@ class SliderCommand(_Frozen):
 class SelfHitHealth(_Frozen):
     """Whether the rings see the robot where the twin says they must."""
 
-    name: tuple[str, ...] = RINGS
+    name: tuple[str, ...]
     """The m rings."""
     fault: np.ndarray
     """`SensorFault` of each sensor, (m, n): NONE, UNSEEN_SELF_HIT or
@@ -361,7 +358,7 @@ class SelfHitHealth(_Frozen):
     """What is wrong with each ring, in one line; empty: nothing."""
 
 
-def make_empty_separation(name: tuple[str, ...] = RINGS) -> Separation:
+def make_empty_separation(name: tuple[str, ...]) -> Separation:
     """Returns the separation before any sample: nothing is known."""
     m = len(name)
     return Separation(
@@ -379,7 +376,7 @@ def make_empty_separation(name: tuple[str, ...] = RINGS) -> Separation:
     )
 
 
-def make_empty_safety_index(name: tuple[str, ...] = RINGS) -> SafetyIndex:
+def make_empty_safety_index(name: tuple[str, ...]) -> SafetyIndex:
     """Returns the index before any sample: nothing is known."""
     m = len(name)
     return SafetyIndex(
@@ -397,7 +394,7 @@ def make_empty_safety_index(name: tuple[str, ...] = RINGS) -> SafetyIndex:
 
 
 def make_empty_self_hit_health(
-    name: tuple[str, ...] = RINGS, sensors: int = 0
+    name: tuple[str, ...], sensors: int = 0
 ) -> SelfHitHealth:
     """Returns the health of rings with no known problem."""
     return SelfHitHealth(

@@ -5,6 +5,7 @@ of each other); this module answers in a microsecond, as needed by a monitor
 that asks for every sensor's own sample time.
 """
 
+from collections.abc import Mapping, Sequence
 import dataclasses as dc
 
 import numpy as np
@@ -12,7 +13,6 @@ from pydrake.multibody.plant import MultibodyPlant
 
 from tofssm_drake.errors import UserError
 from tofssm_drake.kernels import njit
-from tofssm_drake.messages import RINGS
 
 UR10_JOINTS = (
     "shoulder_pan_joint",
@@ -120,15 +120,15 @@ def _as_array(X) -> np.ndarray:
 
 @dc.dataclass(frozen=True, eq=False, kw_only=True)
 class RingKinematics:
-    """Poses and velocities of the ring centres and of the tool.
+    """Poses and velocities of the watched links' centres and of the tool.
 
     Made by `from_plant`. The arrays may be handed to the kernels
     `calc_link_poses` and `calc_sites` from other compiled code; the sites are
-    the rings in the order of `name`, then the tool centre point.
+    the links in the order of `name`, then the tool centre point.
     """
 
     name: tuple[str, ...]
-    """The m rings."""
+    """The m watched links."""
     X_WB: np.ndarray
     """Pose of the robot's base in world, (3, 4)."""
     X_PJ: np.ndarray
@@ -142,16 +142,17 @@ class RingKinematics:
     def from_plant(
         plant: MultibodyPlant,
         *,
-        rings: tuple[str, ...] = RINGS,
+        links: Mapping[str, str] | None = None,
         tcp: str = "tcp",
         joints: tuple[str, ...] = UR10_JOINTS,
     ) -> "RingKinematics":
         """Reads the fixed transforms once from a finalized plant.
 
         Args:
-            plant: Finalized; holds the robot, `<ring>_ring` frames and the
-                tool frame.
-            rings: Names of the rings; may be empty.
+            plant: Finalized; holds the robot, the links' frames and the tool
+                frame.
+            links: Name of each watched link and of the frame at its centre;
+                a frame may also stand still in the cell. None: no links.
             tcp: Name of the tool's frame.
             joints: Names of the joints, base to flange.
 
@@ -187,7 +188,8 @@ class RingKinematics:
             plant.GetJointByName(joints[i]).set_angle(context, 0.0)
         site_link = []
         X_AS = []
-        for name in (*(f"{ring}_ring" for ring in rings), tcp):
+        links = links or {}
+        for name in (*links.values(), tcp):
             if not plant.HasFrameNamed(name):
                 raise UserError(f"robot model: no frame named {name}")
             frame = plant.GetFrameByName(name)
@@ -197,17 +199,29 @@ class RingKinematics:
             X_AS.append(_as_array(frame.CalcPose(context, body.body_frame())))
         base = plant.get_body(bodies[0]).body_frame()
         return RingKinematics(
-            name=tuple(rings),
+            name=tuple(links),
             X_WB=_as_array(base.CalcPoseInWorld(context)),
             X_PJ=X_PJ,
             site_link=np.array(site_link, dtype=np.int64),
             X_AS=np.array(X_AS),
         )
 
+    def select(self, links: Sequence[str]) -> "RingKinematics":
+        """Returns the kinematics of some of the links, in the given order."""
+        if tuple(links) == self.name:
+            return self
+        rows = [*(self.name.index(link) for link in links), -1]
+        return dc.replace(
+            self,
+            name=tuple(links),
+            site_link=self.site_link[rows],
+            X_AS=self.X_AS[rows],
+        )
+
     def calc(
         self, q: np.ndarray, qd: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Returns where the rings are and how they move.
+        """Returns where the links' centres and how they move.
 
         Args:
             q: Joint angles, rad, (6,).

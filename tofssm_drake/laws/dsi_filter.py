@@ -239,7 +239,7 @@ class DsiFilter(LeafSystem):
         *,
         config: SsmConfig | None = None,
         period: float = 0.008,
-        name: tuple[str, ...] = RINGS,
+        name: tuple[str, ...],
     ):
         super().__init__()
         config = SsmConfig() if config is None else config

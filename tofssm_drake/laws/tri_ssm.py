@@ -175,7 +175,7 @@ class TriSsmState(LeafSystem):
     """
 
     def __init__(
-        self, *, config: SsmConfig | None = None, name: tuple[str, ...] = RINGS
+        self, *, config: SsmConfig | None = None, name: tuple[str, ...]
     ):
         super().__init__()
         config = SsmConfig() if config is None else config

@@ -340,7 +340,7 @@ class TruthModel:
         plant: MultibodyPlant,
         inspector: SceneGraphInspector,
         radii: np.ndarray,
-        rings: tuple[str, ...] = RINGS,
+        rings: tuple[str, ...],
         models: tuple[str, ...] = ("ur10", "gripper"),
         pelvis: int = 0,
         kinematics: RingKinematics | None = None,

@@ -165,7 +165,7 @@ def calc_ideal_separation(
     V_hmax: float = 1.6,
     sequence: int = 0,
     time: float = 0.0,
-    name: tuple[str, ...] = RINGS,
+    name: tuple[str, ...],
 ) -> Separation:
     """Calculates the separation from the true positions of person and robot.
 
@@ -237,7 +237,7 @@ class IdealSeparation(LeafSystem):
         k_max: float = 3.3,
         kinematics: LinkKinematics,
         radii: np.ndarray,
-        name: tuple[str, ...] = RINGS,
+        name: tuple[str, ...],
     ):
         """Constructs the system.
 

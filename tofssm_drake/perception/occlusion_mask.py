@@ -39,8 +39,8 @@ from tofssm_drake.perception.readings import (
 from tofssm_drake.raycast.fan import make_cone_fan
 from tofssm_drake.raycast.ray_caster import RayBundles, RayCaster
 from tofssm_drake.sensors.ring_mount import RingMount
-from tofssm_drake.sensors.tof_rings import TofRingConfig
 from tofssm_drake.sensors.vl53l1x import (
+    Vl53l1x,
     STATUS_NO_NEW_DATA,
     calc_cast_range,
     check_range,
@@ -111,7 +111,7 @@ class OcclusionMaskConfig:
 def make_mask_bundles(
     *,
     config: OcclusionMaskConfig,
-    ring_config: TofRingConfig,
+    sensor: Vl53l1x,
     caster: RayCaster,
     mounts: Sequence[RingMount],
 ) -> RayBundles:
@@ -119,7 +119,7 @@ def make_mask_bundles(
 
     Args:
         config: number of rays, tolerance.
-        ring_config: field of view and range of the sensors, number of rays.
+        sensor: field of view and range of the sensors, number of rays.
         caster: of the twin's SceneGraph.
         mounts: the rings on the twin; no sensor sees the link that carries it.
 
@@ -129,8 +129,8 @@ def make_mask_bundles(
     return caster.make_bundles(
         frame_id=[mount.frame_id for mount in mounts for _ in mount.X_FS],
         X_FS=[X for mount in mounts for X in mount.X_FS],
-        fan_S=make_mask_fan(config, ring_config),
-        max_range=calc_cast_range(ring_config.sensor) + config.tolerance,
+        fan_S=make_mask_fan(config, sensor),
+        max_range=calc_cast_range(sensor) + config.tolerance,
         excluded=[mount.geometry_ids for mount in mounts for _ in mount.X_FS],
     )
 
@@ -138,7 +138,7 @@ def make_mask_bundles(
 def make_proof_bundles(
     *,
     config: OcclusionMaskConfig,
-    ring_config: TofRingConfig,
+    sensor: Vl53l1x,
     caster: RayCaster,
     mounts: Sequence[RingMount],
 ) -> RayBundles:
@@ -147,13 +147,13 @@ def make_proof_bundles(
     Like those of the mask, but in a cone narrower than the sensor's by
     `edge_margin_deg` on each side: what its edge grazes need not be seen.
     """
-    narrow_deg = ring_config.fov_deg - 2.0 * config.edge_margin_deg
+    narrow_deg = sensor.fov_deg - 2.0 * config.edge_margin_deg
     return caster.make_bundles(
         frame_id=[mount.frame_id for mount in mounts for _ in mount.X_FS],
         X_FS=[X for mount in mounts for X in mount.X_FS],
         fan_S=make_cone_fan(
             math.radians(max(narrow_deg, 0.1)),
-            config.rays_per_sensor or ring_config.rays_per_sensor,
+            config.rays_per_sensor or sensor.rays_per_sensor,
         ),
         max_range=_SURELY_SEEN,
         excluded=[mount.geometry_ids for mount in mounts for _ in mount.X_FS],
@@ -161,7 +161,7 @@ def make_proof_bundles(
 
 
 def make_mask_fan(
-    config: OcclusionMaskConfig, ring_config: TofRingConfig
+    config: OcclusionMaskConfig, sensor: Vl53l1x
 ) -> np.ndarray:
     """Returns the directions of a sensor's rays on the twin, (k, 3).
 
@@ -169,12 +169,12 @@ def make_mask_fan(
     see the same, and a circle of rays beyond the cone's edge.
     """
     fan_S = make_cone_fan(
-        math.radians(ring_config.fov_deg),
-        config.rays_per_sensor or ring_config.rays_per_sensor,
+        math.radians(sensor.fov_deg),
+        config.rays_per_sensor or sensor.rays_per_sensor,
     )
     if config.edge_margin_deg == 0.0:
         return fan_S
-    angle = math.radians(0.5 * ring_config.fov_deg + config.edge_margin_deg)
+    angle = math.radians(0.5 * sensor.fov_deg + config.edge_margin_deg)
     turn = 2.0 * np.pi * np.arange(_EDGE_RAYS) / _EDGE_RAYS
     edge_S = np.empty((_EDGE_RAYS, 3))
     edge_S[:, 0] = math.cos(angle)
@@ -950,7 +950,7 @@ class OcclusionMask(LeafSystem):
         twin: Twin,
         proof_bundles: RayBundles | None = None,
         is_dead: np.ndarray | None = None,
-        name: tuple[str, ...] = RINGS,
+        name: tuple[str, ...],
     ):
         """Constructs the system.
 

@@ -59,8 +59,8 @@ from tofssm_drake.perception.self_hits import (
 )
 from tofssm_drake.raycast.ray_caster import RayBundles, RayCaster
 from tofssm_drake.sensors.ring_mount import RingMount
-from tofssm_drake.sensors.tof_rings import TofRingConfig
 from tofssm_drake.sensors.vl53l1x import (
+    Vl53l1x,
     STATUS_NO_NEW_DATA,
     calc_cast_range,
 )
@@ -145,19 +145,19 @@ def make_self_hit_model(
     *,
     config: SelfHitConfig,
     mask_config: OcclusionMaskConfig,
-    ring_config: TofRingConfig,
+    sensor: Vl53l1x,
     caster: RayCaster,
     mounts: Sequence[RingMount],
     twin: Twin,
     is_dead: np.ndarray | None = None,
-    name: tuple[str, ...] = RINGS,
+    name: tuple[str, ...],
 ) -> SelfHitModel:
     """Makes the model of what rings should see.
 
     Args:
         config: settings.
         mask_config: tolerance, rays, margins; the mask's own.
-        ring_config: field of view and range of the sensors.
+        sensor: field of view and range of the sensors.
         caster: of the twin's SceneGraph.
         mounts: the rings on the twin.
         twin: gives the poses of `caster.frame_ids`.
@@ -169,8 +169,8 @@ def make_self_hit_model(
     """
     config.check("self_hits")
     num_sensors = sum(len(mount.X_FS) for mount in mounts)
-    fan_S, num_wide = make_self_hit_fan(config, mask_config, ring_config)
-    max_range = calc_cast_range(ring_config.sensor) + mask_config.tolerance
+    fan_S, num_wide = make_self_hit_fan(config, mask_config, sensor)
+    max_range = calc_cast_range(sensor) + mask_config.tolerance
     misfits = list_misfits(config, len(mounts))
     moved = [
         (mounts[m.ring], move_mount(mounts[m.ring], m.turn, m.shift))
@@ -818,7 +818,7 @@ class SelfHitStop(LeafSystem):
         name: the links.
     """
 
-    def __init__(self, name: tuple[str, ...] = RINGS):
+    def __init__(self, name: tuple[str, ...]):
         super().__init__()
         separation = make_empty_separation(name)
         health = make_empty_self_hit_health(name)

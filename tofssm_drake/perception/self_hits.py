@@ -31,8 +31,8 @@ from tofssm_drake.perception.occlusion_mask import (
     make_mask_fan,
 )
 from tofssm_drake.raycast.fan import make_cone_fan
-from tofssm_drake.sensors.tof_rings import TofRingConfig
 from tofssm_drake.sensors.vl53l1x import (
+    Vl53l1x,
     STATUS_MIN_RANGE_CLIPPED,
     STATUS_OUT_OF_BOUNDS,
     STATUS_SIGNAL_FAIL,
@@ -182,7 +182,7 @@ class SelfHitConfig:
 def make_self_hit_fan(
     config: SelfHitConfig,
     mask_config: OcclusionMaskConfig,
-    ring_config: TofRingConfig,
+    sensor: Vl53l1x,
 ) -> tuple[np.ndarray, int]:
     """Returns directions of a sensor's rays on the twin, in two cones.
 
@@ -192,10 +192,10 @@ def make_self_hit_fan(
     """
     wide = make_mask_fan(
         dc.replace(mask_config, edge_margin_deg=config.edge_margin_deg),
-        ring_config,
+        sensor,
     )
-    fov_deg = max(ring_config.fov_deg - 2.0 * config.edge_margin_deg, 0.5)
-    narrow = make_cone_fan(math.radians(fov_deg), ring_config.rays_per_sensor)
+    fov_deg = max(sensor.fov_deg - 2.0 * config.edge_margin_deg, 0.5)
+    narrow = make_cone_fan(math.radians(fov_deg), sensor.rays_per_sensor)
     return np.vstack([wide, narrow]), len(wide)
 
 

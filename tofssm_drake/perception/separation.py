@@ -489,7 +489,7 @@ class TofSeparation(LeafSystem):
         k_max: float = 3.3,
         kinematics: LinkKinematics,
         geometries: Sequence[RingGeometry],
-        name: tuple[str, ...] = RINGS,
+        name: tuple[str, ...],
     ):
         """Constructs the system.
 

@@ -343,7 +343,7 @@ class SampleRecorder(Diagram):
         truth: Truth,
         motion: HumanMotion | None = None,
         period: float = 0.008,
-        rings: tuple[str, ...] = RINGS,
+        rings: tuple[str, ...],
         num_sensors: int = 8,
         metadata: dict | None = None,
     ):

@@ -322,7 +322,7 @@ def parse_ring_fault(
     Args:
         text: What the user wrote.
         where: Where the user wrote it.
-        sensors: Of each ring.
+        rings: Number of sensors of each ring, by name.
 
     Raises:
         UserError: It is not a fault.
@@ -332,7 +332,7 @@ def parse_ring_fault(
         "status253:tool.3@20"
     )
     match = re.fullmatch(
-        r"([a-z]+\d*):([a-z]+)(?:\.(\d+))?@(\d+\.?\d*)(?:-(\d+\.?\d*))?", text
+        r"([a-z]+\d*):(\w+)(?:\.(\d+))?@(\d+\.?\d*)(?:-(\d+\.?\d*))?", text
     )
     if match is None:
         raise UserError(f"{where}: {text!r} is not a fault; {form}")
@@ -342,12 +342,12 @@ def parse_ring_fault(
         f"{where}: {kind!r} is unknown, use one of {', '.join(FAULTS)}",
     )
     require(
-        ring in RINGS,
-        f"{where}: there is no ring {ring!r}, use one of {', '.join(RINGS)}",
+        ring in rings,
+        f"{where}: there is no ring {ring!r}, use one of {', '.join(rings)}",
     )
     require(
-        sensor is None or int(sensor) < sensors,
-        f"{where}: there is no sensor {sensor}, use 0 to {sensors - 1}",
+        sensor is None or int(sensor) < rings[ring],
+        f"{where}: there is no sensor {sensor}, use 0 to {rings[ring] - 1}",
     )
     require(
         sensor is None or kind in SENSOR_FAULTS,

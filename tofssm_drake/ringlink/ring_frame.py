@@ -9,8 +9,8 @@ are little-endian; docs/ring_link.md is the specification.
 |----------|------|---------------------------------------------------------|
 | 0        | 2    | magic "TR"                                              |
 | 2        | 1    | version, 2                                              |
-| 3        | 1    | ring: 0 base, 1 elbow, 2 tool                           |
-| 4        | 1    | n, number of sensors: 8 or 16                           |
+| 3        | 1    | number of the ring                                      |
+| 4        | 1    | n, number of sensors: 1 to 64                           |
 | 5        | 1    | flags                                                   |
 | 6        | 2    | sequence of the ring, wraps                             |
 | 8        | 4    | device time at the end of the scan, us, wraps           |
@@ -25,7 +25,8 @@ import struct
 from cobs import cobs
 import numpy as np
 
-SENSOR_COUNTS = (8, 16)
+MOST_SENSORS = 64
+"""Largest number of sensors of a ring."""
 
 FLAG_RESTARTED = 0x01
 """The device has restarted since its last frame."""
@@ -54,9 +55,10 @@ def calc_frame_size(sensors: int) -> int:
     return _HEADER.size + _SAMPLE.itemsize * sensors + _CRC.size
 
 
-# A frame is shorter than a block of COBS, which then adds one byte; the
-# delimiter is not counted.
-_LONGEST_PIECE = calc_frame_size(max(SENSOR_COUNTS)) + 1
+# COBS adds one byte to each block of 254; the delimiter is not counted.
+_LONGEST_PIECE = calc_frame_size(MOST_SENSORS) + (
+    calc_frame_size(MOST_SENSORS) // 254 + 1
+)
 
 
 class FrameError(ValueError):
@@ -106,11 +108,11 @@ def encode_frame(frame: RingFrame) -> bytes:
 
     Raises:
         ValueError: A field does not fit into its bytes, or the number of
-            sensors is not one of SENSOR_COUNTS.
+            sensors is not from 1 to MOST_SENSORS.
     """
     n = len(frame.mm)
-    if n not in SENSOR_COUNTS:
-        raise ValueError(f"frame of {n} sensors; use one of {SENSOR_COUNTS}")
+    if not 0 < n <= MOST_SENSORS:
+        raise ValueError(f"frame of {n} sensors; use 1 to {MOST_SENSORS}")
     if frame.flags & ~_KNOWN_FLAGS:
         raise ValueError(f"flags 0x{frame.flags:02x} are not all known")
     samples = np.empty(n, _SAMPLE)
@@ -170,7 +172,7 @@ def decode_frame(data: bytes) -> RingFrame:
         raise FrameError("magic")
     if version != _VERSION:
         raise FrameError("version")
-    if n not in SENSOR_COUNTS or size != calc_frame_size(n):
+    if not 0 < n <= MOST_SENSORS or size != calc_frame_size(n):
         raise FrameError("length")
     (crc,) = _CRC.unpack_from(data, size - _CRC.size)
     if crc != calc_crc(data[: -_CRC.size]):

@@ -16,7 +16,7 @@ from tofssm_drake.device_clock import (
     update_clock_map,
 )
 from tofssm_drake.errors import require
-from tofssm_drake.messages import RINGS, RingScan
+from tofssm_drake.messages import RingScan
 from tofssm_drake.ringlink.ring_budget import (
     FrameTiming,
     LinkFigures,
@@ -32,7 +32,6 @@ from tofssm_drake.ringlink.ring_faults import (
 from tofssm_drake.ringlink.ring_frame import (
     FLAG_RESTARTED,
     FLAG_SELF_TEST,
-    SENSOR_COUNTS,
     SEQUENCE_BITS,
     TIME_BITS,
     FrameError,
@@ -69,7 +68,7 @@ class RingLinkConfig:
     """How the frames of real rings are received."""
 
     # Numbers of the rings base, elbow and tool in their frames.
-    ring_numbers: list[int] = dc.field(default_factory=lambda: [0, 1, 2])
+    ring_numbers: list[int] = dc.field(default_factory=list)
 
     # Greatest drift between a device's clock and the host's, s/s (*assumed*:
     # two crystals of 100 ppm). The samples of a clock that is slower look
@@ -106,13 +105,12 @@ class RingLinkConfig:
     def check(self, where: str) -> None:
         """Raises UserError unless every setting is within its limits."""
         require(
-            len(self.ring_numbers) == len(RINGS) == len(set(self.ring_numbers))
+            len(self.ring_numbers) == len(set(self.ring_numbers))
             and all(
                 isinstance(i, int) and 0 <= i <= 255 for i in self.ring_numbers
             ),
-            f"{where}.ring_numbers: {self.ring_numbers} must be three "
-            "different numbers from 0 to 255, of the rings base, elbow and "
-            "tool",
+            f"{where}.ring_numbers: {self.ring_numbers} must be different "
+            "numbers from 0 to 255",
         )
         for name, low, high in (
             ("max_drift", 0.0, 0.01),
@@ -123,6 +121,27 @@ class RingLinkConfig:
             ("frozen_samples", 0, 1000),
         ):
             check_range(where, name, getattr(self, name), low, high)
+
+
+def find_ring_numbers(
+    config: RingLinkConfig, rings: Sequence[str]
+) -> dict[str, int]:
+    """Returns the number of each ring in its frames.
+
+    Args:
+        config: Settings; without numbers the rings are 0, 1, 2, ...
+        rings: Names of the rings.
+
+    Raises:
+        UserError: There is not one number for each ring.
+    """
+    numbers = config.ring_numbers or list(range(len(rings)))
+    require(
+        len(numbers) == len(rings),
+        f"ring_link.ring_numbers: {numbers} must be one for each of the rings "
+        f"{', '.join(rings)}",
+    )
+    return dict(zip(rings, numbers, strict=True))
 
 
 @dc.dataclass(kw_only=True)
@@ -373,42 +392,35 @@ class RingDecoder:
         self,
         *,
         config: RingLinkConfig,
-        num_sensors: int,
-        timing_budget: float,
-        budget: RingBudget | None = None,
-        name: Sequence[str] = RINGS,
+        rings: Mapping[str, Ring],
+        budget: Mapping[str, RingBudget] | None = None,
     ):
         """Constructs the decoder.
 
         Args:
             config: Settings.
-            num_sensors: Of each ring.
-            timing_budget: Integration time of the sensors, s.
-            budget: Limits of the links; None: those of the default scenario.
-            name: The rings, in the order of `config.ring_numbers`.
+            rings: By name, in the order of `config.ring_numbers`.
+            budget: Limits of each ring's link; None: the default ones.
 
         Raises:
             UserError: A setting is out of range.
         """
-        budget = RingBudget() if budget is None else budget
+        budget = budget or dict.fromkeys(rings, RingBudget())
         config.check("ring_link")
-        budget.check("ring_budget")
-        require(
-            num_sensors in SENSOR_COUNTS,
-            f"sensors_per_ring: {num_sensors} is not known to the ring link; "
-            f"use one of {', '.join(map(str, SENSOR_COUNTS))}",
-        )
+        for ring in rings:
+            budget[ring].check("ring_budget")
+        numbers = find_ring_numbers(config, tuple(rings))
         self._receivers = {
             number: (
                 ring,
                 RingReceiver(
                     config=config,
-                    num_sensors=num_sensors,
-                    timing_budget=timing_budget,
-                    budget=budget,
+                    num_sensors=rings[ring].num_sensors,
+                    timing_budget=rings[ring].sensor.timing_budget,
+                    budget=budget[ring],
                 ),
             )
-            for ring, number in zip(name, config.ring_numbers, strict=True)
+            for ring, number in numbers.items()
         }
         self._streams: dict[str, FrameStream] = {}
         self._closed_errors: dict[str, int] = {}

@@ -97,7 +97,7 @@ class RingSubscriberSystem(LeafSystem):
         connection: RingConnection,
         wait_timeout: float = 10.0,
         max_ahead: float = 0.004,
-        name: Sequence[str] = RINGS,
+        name: Sequence[str],
     ):
         """Constructs the system.
 

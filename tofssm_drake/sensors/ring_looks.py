@@ -21,7 +21,7 @@ def add_ring_looks(
     plant: MultibodyPlant,
     scene_graph: SceneGraph,
     *,
-    rings: tuple[str, ...] = RINGS,
+    rings: tuple[str, ...],
 ) -> None:
     """Adds illustration geometry for the rings; sensors do not see it.
 

@@ -18,9 +18,8 @@ from tofssm_drake.sensors.ring_mount import RingMount
 from tofssm_drake.sensors.vl53l1x import (
     NOISE_DRAWS,
     SensorErrors,
-    TofSensorConfig,
+    Vl53l1x,
     calc_cast_range,
-    check_range,
     make_perfect_sensor_errors,
     measure_packed,
     pack_config,
@@ -31,51 +30,9 @@ from tofssm_drake.sensors.vl53l1x import (
 _EARLY = 1e-9
 
 
-@dc.dataclass(kw_only=True)
-class TofRingConfig:
-    """What all rings of a robot have in common."""
-
-    # How well each sensor measures.
-    sensor: TofSensorConfig = dc.field(default_factory=TofSensorConfig)
-
-    # Full opening angle of a sensor's cone, deg (paper).
-    fov_deg: float = 25.0
-
-    # Rays that represent the cone; 25 are 1 + 8 + 16, the last ring on the
-    # cone's edge.
-    rays_per_sensor: int = 25
-
-    # Time between two integrations, s; the period of a ring is the timing
-    # budget plus this.
-    period_overhead: float = 0.004
-
-    # From the end of the integration to the delivered scan, s (*assumed*):
-    # reading out 8 sensors over a 400 kHz bus takes 0.8 ms each, of which a
-    # sample waits half on average, and the frame takes about 1 ms more.
-    readout_time: float = 0.005
-
-    @property
-    def period(self) -> float:
-        """From one scan to the next, s."""
-        return self.sensor.timing_budget + self.period_overhead
-
-    @property
-    def latency(self) -> float:
-        """From the centre of the integration to the delivered scan, s."""
-        return 0.5 * self.sensor.timing_budget + self.readout_time
-
-    def check(self, where: str) -> None:
-        """Raises UserError unless every setting is within its limits."""
-        self.sensor.check(f"{where}.sensor")
-        check_range(where, "fov_deg", self.fov_deg, 1.0, 90.0)
-        check_range(where, "rays_per_sensor", self.rays_per_sensor, 1, 10000)
-        check_range(where, "period_overhead", self.period_overhead, 0.0, 10.0)
-        check_range(where, "readout_time", self.readout_time, 0.0, 1.0)
-
-
 def make_ring_bundles(
     *,
-    config: TofRingConfig,
+    config: Vl53l1x,
     caster: RayCaster,
     mounts: Sequence[RingMount],
 ) -> RayBundles:
@@ -95,7 +52,7 @@ def make_ring_bundles(
         fan_S=make_cone_fan(
             math.radians(config.fov_deg), config.rays_per_sensor
         ),
-        max_range=calc_cast_range(config.sensor),
+        max_range=calc_cast_range(config),
         excluded=[mount.geometry_ids for mount in mounts for _ in mount.X_FS],
     )
 
@@ -159,13 +116,13 @@ class TofRings(LeafSystem):
     def __init__(
         self,
         *,
-        config: TofRingConfig,
+        config: Vl53l1x,
         caster: RayCaster,
         bundles: RayBundles,
         errors: SensorErrors | None = None,
         phase: float = 0.0,
         noise_scans: int = 1,
-        name: tuple[str, ...] = RINGS,
+        name: tuple[str, ...],
     ):
         """Constructs the system.
 
@@ -187,7 +144,7 @@ class TofRings(LeafSystem):
             ValueError: if errors or rays do not suit the rings.
         """
         super().__init__()
-        config.check("rings")
+        config.check("sensor")
         require(
             math.isfinite(phase) and phase >= 0.0,
             f"rings.phase: {phase} is out of range; use 0 or more",
@@ -201,13 +158,13 @@ class TofRings(LeafSystem):
         self._caster = caster
         self._bundles = bundles
         self._errors = errors
-        self._parameters = pack_config(config.sensor)
+        self._parameters = pack_config(config)
         self._latency = config.latency
         self._noise_scans = noise_scans
         self._rows = [slice(n * i, n * i + n) for i in range(len(name))]
         self._no_noise = (
             np.zeros((num_sensors, NOISE_DRAWS))
-            if config.sensor.ideal
+            if config.ideal
             else None
         )
 

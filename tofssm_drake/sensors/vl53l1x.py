@@ -50,8 +50,8 @@ _SIGMA_33MS = 1e-3 * np.array(
 
 
 @dc.dataclass(kw_only=True)
-class TofSensorConfig:
-    """How well a VL53L1X measures; every effect can be switched off."""
+class Vl53l1x:
+    """How a VL53L1X measures; every effect can be switched off."""
 
     # Report the exact nearest distance up to `usable_range`, nothing else:
     # no noise, no bias, no failures, no millimetres.
@@ -120,6 +120,32 @@ class TofSensorConfig:
     # Step of the reported distance, m; 0: none.
     resolution: float = 0.001
 
+    # Full opening angle of the cone, deg (paper).
+    fov_deg: float = 25.0
+
+    # Rays that represent the cone; 25 are 1 + 8 + 16, the last ring on the
+    # cone's edge.
+    rays_per_sensor: int = 25
+
+    # Time between two integrations, s; the period is the timing budget plus
+    # this.
+    period_overhead: float = 0.004
+
+    # From the end of the integration to the delivered scan, s (*assumed*):
+    # reading out 8 sensors over a 400 kHz bus takes 0.8 ms each, of which a
+    # sample waits half on average, and the frame takes about 1 ms more.
+    readout_time: float = 0.005
+
+    @property
+    def period(self) -> float:
+        """From one sample to the next, s."""
+        return self.timing_budget + self.period_overhead
+
+    @property
+    def latency(self) -> float:
+        """From the centre of the integration to the delivered scan, s."""
+        return 0.5 * self.timing_budget + self.readout_time
+
     def check(self, where: str) -> None:
         """Raises UserError unless every setting is within its limits."""
         require(
@@ -146,6 +172,10 @@ class TofSensorConfig:
             ("wrap_probability", 0.0, 1.0),
             ("wrap_range", 0.1, 10.0),
             ("resolution", 0.0, 0.1),
+            ("fov_deg", 1.0, 90.0),
+            ("rays_per_sensor", 1, 10000),
+            ("period_overhead", 0.0, 10.0),
+            ("readout_time", 0.0, 1.0),
         ):
             check_range(where, name, getattr(self, name), low, high)
 
@@ -160,7 +190,7 @@ def check_range(
     )
 
 
-def calc_cast_range(config: TofSensorConfig) -> float:
+def calc_cast_range(config: Vl53l1x) -> float:
     """Returns how far a sensor's rays have to be cast, m."""
     if config.ideal:
         return config.usable_range
@@ -181,7 +211,7 @@ class SensorErrors:
 
 
 def draw_sensor_errors(
-    config: TofSensorConfig, *, sensors: int, seed: int, ring: int = 0
+    config: Vl53l1x, *, sensors: int, seed: int, ring: int = 0
 ) -> SensorErrors:
     """Draws the constant errors of the sensors of one ring.
 
@@ -229,14 +259,14 @@ _MIN_RANGE, _MIN_RANGE_ERROR, _MIN_RANGE_CLIPPED, _DROPOUT = range(9, 13)
 _WRAP_PROBABILITY, _WRAP_RANGE, _RESOLUTION, _IS_MEAN = range(13, 17)
 
 
-def pack_config(config: TofSensorConfig) -> np.ndarray:
+def pack_config(config: Vl53l1x) -> np.ndarray:
     """Returns the settings as the vector that `measure_packed` takes."""
     values = [float(getattr(config, name)) for name in _PACKED]
     return np.array([*values, float(config.return_model == "mean")])
 
 
 def measure(
-    config: TofSensorConfig,
+    config: Vl53l1x,
     *,
     ray_distance: np.ndarray,
     noise: np.ndarray,

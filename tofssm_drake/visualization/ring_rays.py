@@ -84,7 +84,7 @@ class RingRays(LeafSystem):
         plant: MultibodyPlant,
         fov: float,
         max_range: float,
-        rings: tuple[str, ...] = RINGS,
+        rings: tuple[str, ...],
         sensors_per_ring: int = 8,
         period: float = 1 / 16,
         path: str = "rings",
