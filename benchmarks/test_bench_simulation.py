@@ -6,6 +6,7 @@ fresh one. What Numba compiles is compiled (and cached) in a round before.
 
 import json
 import os
+import statistics
 import subprocess
 import sys
 
@@ -44,13 +45,55 @@ json.dump(
 """
 
 
+# Arm, controller and program without anything that looks at them.
+_ALONE = """
+import json, sys, time
+from pydrake.systems.analysis import Simulator
+from pydrake.systems.framework import DiagramBuilder
+from pydrake.systems.primitives import ConstantVectorSource
+from tofssm_drake.diagrams.scenario import load_scenario
+from tofssm_drake.robot.kinematics import RingKinematics
+from tofssm_drake.robot.program import PickAndPlaceProgram
+from tofssm_drake.robot.sim_ur10 import make_sim_ur10
+from tofssm_drake.robot.twin import make_cell_plant
+scenario = load_scenario(name=sys.argv[1], text=sys.argv[2])
+builder = DiagramBuilder()
+program = builder.AddSystem(
+    PickAndPlaceProgram(
+        config=scenario.program,
+        kinematics=RingKinematics.from_plant(make_cell_plant()),
+        period=scenario.control_period,
+    )
+)
+robot, _ = make_sim_ur10(
+    config=scenario.robot,
+    initial_position=program.path.calc_motion(0.0)[0],
+)
+builder.AddSystem(robot)
+speed = builder.AddSystem(ConstantVectorSource([1.0]))
+builder.Connect(speed.get_output_port(), program.GetInputPort("speed_fraction"))
+builder.Connect(
+    program.GetOutputPort("motion_commanded"),
+    robot.GetInputPort("motion_commanded"),
+)
+simulator = Simulator(builder.Build())
+simulator.AdvanceTo(0.1)
+busy = time.process_time()
+simulator.AdvanceTo(program.path.duration)
+busy = time.process_time() - busy
+json.dump(
+    {"simulated_s": program.path.duration - 0.1, "busy_s": busy}, sys.stdout
+)
+"""
+
+
 def _use_one_core():
     os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
 
 
-def run_process(name, text=""):
+def run_process(name, text="", program=_RUN):
     done = subprocess.run(
-        [sys.executable, "-c", _RUN, name, text],
+        [sys.executable, "-c", program, name, text],
         stdout=subprocess.PIPE,
         check=True,
         # Linear algebra libraries must not start threads either.
@@ -83,6 +126,28 @@ def test_whole_run(benchmark, name, count):
     benchmark.extra_info["peak_memory_MB"] = max(
         figures["peak_memory_MB"] for figures in rounds
     )
+
+
+def test_cost_over_the_arm_alone(benchmark):
+    """CPU time of a simulated second, the whole loop over the arm alone.
+
+    The two run in turns, so that what else the machine does hits both.
+    """
+    ratios = []
+    run_process("Default", "{simulation_duration: 0.2}")
+
+    def compare():
+        alone = run_process("Default", program=_ALONE)
+        whole = run_process("Default")
+        ratios.append(
+            (whole["busy_s"] / whole["simulated_s"])
+            / (alone["busy_s"] / alone["simulated_s"])
+        )
+
+    benchmark.pedantic(compare, rounds=5, iterations=1)
+    benchmark.extra_info["cost_over_arm_alone"] = statistics.median(ratios)
+    benchmark.extra_info["least"] = min(ratios)
+    benchmark.extra_info["most"] = max(ratios)
 
 
 def test_startup(benchmark):

@@ -582,8 +582,8 @@ class TestReadMesh(unittest.TestCase):
             (make_vtk(point="1 1 x"), "cannot be read"),
             (make_vtk_5([1, 2, 3, 5]), "corner 5, which is not one of its 5"),
             (make_vtk_5([1, 2, 3, -1]), "corner -1, which is not one of its 5"),
-            (make_binary_vtk(9), "not as its format demands"),
-            (make_binary_vtk(-1), "not as its format demands"),
+            (make_binary_vtk(9), "(not as its format demands|cannot be read)"),
+            (make_binary_vtk(-1), "(not as its format demands|cannot be read)"),
         ):
             with (
                 self.subTest(message=message),
