@@ -52,10 +52,10 @@ from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import ConstantVectorSource
 from tofssm_drake.diagrams.scenario import load_scenario
-from tofssm_drake.robot.kinematics import RingKinematics
-from tofssm_drake.robot.program import PickAndPlaceProgram
-from tofssm_drake.robot.sim_ur10 import make_sim_ur10
-from tofssm_drake.robot.twin import make_cell_plant
+from tofssm_drake.arms.kinematics import RingKinematics
+from tofssm_drake.tasks.program import PickAndPlaceProgram
+from tofssm_drake.arms.sim_ur10 import make_sim_ur10
+from tofssm_drake.arms.cell_plant import make_cell_plant
 scenario = load_scenario(name=sys.argv[1], text=sys.argv[2])
 builder = DiagramBuilder()
 program = builder.AddSystem(

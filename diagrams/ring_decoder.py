@@ -1,22 +1,24 @@
 """Makes the decoder for the frames of a scenario's real rings."""
 
 from tofssm_drake.diagrams.scenario import Scenario
+from tofssm_drake.diagrams.sensors.rings import Ring, find_rings
 from tofssm_drake.ringlink.ring_budget import RingBudget, calc_max_age
 from tofssm_drake.ringlink.ring_receiver import RingDecoder, RingLinkConfig
 
 
 def make_ring_budget(
-    scenario: Scenario, control_period: float | None = None
+    scenario: Scenario, ring: Ring, control_period: float | None = None
 ) -> RingBudget:
-    """Returns the limits of the rings' links with which the law's T_R holds.
+    """Returns the limits of a ring's link with which the law's T_R holds.
 
     Args:
         scenario: Checked settings.
+        ring: One of its rings.
         control_period: Control tick, s; None: that of the scenario.
     """
     if control_period is None:
         control_period = scenario.control_period
-    period = scenario.rings.period
+    period = ring.sensor.period
     audit = scenario.audit
     return RingBudget(
         period=period,
@@ -44,9 +46,12 @@ def make_ring_decoder(
         config: Of the link; None: the default.
         control_period: Control tick, s; None: that of the scenario.
     """
+    rings = find_rings(scenario.sensors)
     return RingDecoder(
         config=RingLinkConfig() if config is None else config,
-        num_sensors=scenario.sensors_per_ring,
-        timing_budget=scenario.rings.sensor.timing_budget,
-        budget=make_ring_budget(scenario, control_period),
+        rings=rings,
+        budget={
+            name: make_ring_budget(scenario, ring, control_period)
+            for name, ring in rings.items()
+        },
     )

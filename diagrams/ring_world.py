@@ -2,8 +2,6 @@
 
 import dataclasses as dc
 
-import numpy as np
-from pydrake.common import RandomDistribution
 from pydrake.geometry import SceneGraph
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.systems.framework import (
@@ -15,27 +13,18 @@ from pydrake.systems.primitives import (
     ConstantVectorSource,
     Multiplexer,
     PassThrough,
-    RandomSource,
 )
 from pydrake.systems.rendering import MultibodyPositionToGeometryPose
 
 from tofssm_drake.arms.cell_plant import make_cell_plant
 from tofssm_drake.arms.kinematics import RingKinematics
 from tofssm_drake.diagrams.scenario import NoHuman, Scenario
-from tofssm_drake.messages import RINGS
+from tofssm_drake.diagrams.sensors import World, add_sensors_to_world
 from tofssm_drake.people.avatar import HumanAvatar
 from tofssm_drake.people.bvh import BvhRecording, make_bvh_motion
 from tofssm_drake.people.walk import make_walk
-from tofssm_drake.perception.lidar_mount import make_base_lidar_bundle
 from tofssm_drake.raycast.ray_caster import RayCaster
-from tofssm_drake.sensors.lidar_2d import Lidar2d
-from tofssm_drake.sensors.ring_mount import find_ring_mount
-from tofssm_drake.sensors.tof_rings import TofRings, make_ring_bundles
-from tofssm_drake.sensors.vl53l1x import SensorErrors, draw_sensor_errors
 from tofssm_drake.tasks.products import ProductCarrier, ProductLayout
-
-# Noise is drawn for this many scans at a time.
-_NOISE_SCANS = 16
 
 
 @dc.dataclass(frozen=True, eq=False, kw_only=True)
@@ -59,7 +48,7 @@ def make_scene(builder: DiagramBuilder, scenario: Scenario):
     """
     scene_graph = builder.AddNamedSystem("scene_graph", SceneGraph())
     plant = make_cell_plant(
-        sensors_per_ring=scenario.sensors_per_ring,
+        sensors=scenario.sensors,
         products=scenario.program.products,
         scene_graph=scene_graph,
         meshes=scenario.robot_meshes,
@@ -79,8 +68,7 @@ def add_ring_world(
 ) -> RingWorld:
     """Poses the scene from a robot's report and adds the sensors.
 
-    Exports the scans of the scenario's sensing: `scan_base` to `scan_tool`,
-    `scan_lidar`, or none.
+    Exports `scan_<sensor>` of each sensor that scans.
 
     Args:
         builder: Of the Diagram.
@@ -104,18 +92,16 @@ def add_ring_world(
         skeleton = person.get_output_port()
     else:
         skeleton = avatar.GetOutputPort("skeleton")
-    caster = RayCaster(scene_graph.model_inspector())
-    if scenario.sensing == "tof":
-        sensors = _add_rings(builder, scenario, scene_graph, plant, caster)
-    elif scenario.sensing == "lidar":
-        sensors = [_add_lidar(builder, scenario, scene_graph, plant, caster)]
-    else:
-        sensors = []
-    for sensor in sensors:
-        builder.Connect(
-            scene_graph.get_query_output_port(),
-            sensor.GetInputPort("geometry_query"),
-        )
+    add_sensors_to_world(
+        World(
+            builder=builder,
+            scene_graph=scene_graph,
+            plant=plant,
+            caster=RayCaster(scene_graph.model_inspector()),
+            random_seed=scenario.random_seed,
+        ),
+        scenario.sensors,
+    )
     return RingWorld(
         plant=plant, scene_graph=scene_graph, avatar=avatar, skeleton=skeleton
     )
@@ -210,90 +196,3 @@ def _add_avatar(builder, scenario, scene_graph):
         scene_graph.get_source_pose_port(avatar.source_id),
     )
     return avatar
-
-
-def _add_rings(builder, scenario, scene_graph, plant, caster):
-    """Adds the rings with their noise, exports the scans, returns the rings.
-
-    Rings of one phase sample together, in one system.
-    """
-    systems = []
-    for phase in sorted(set(scenario.ring_phases)):
-        index = [i for i, p in enumerate(scenario.ring_phases) if p == phase]
-        names = [RINGS[i] for i in index]
-        inspector = scene_graph.model_inspector()
-        mounts = [find_ring_mount(plant, inspector, name) for name in names]
-        rings = builder.AddNamedSystem(
-            "rings_" + "_".join(names),
-            TofRings(
-                config=scenario.rings,
-                caster=caster,
-                bundles=make_ring_bundles(
-                    config=scenario.rings, caster=caster, mounts=mounts
-                ),
-                errors=_draw_errors(scenario, index),
-                phase=phase,
-                noise_scans=_NOISE_SCANS,
-                name=tuple(names),
-            ),
-        )
-        noise = builder.AddNamedSystem(
-            f"noise_{'_'.join(names)}",
-            RandomSource(
-                distribution=RandomDistribution.kGaussian,
-                num_outputs=rings.GetInputPort("noise").size(),
-                sampling_interval_sec=_NOISE_SCANS * scenario.rings.period,
-            ),
-        )
-        builder.Connect(noise.get_output_port(), rings.GetInputPort("noise"))
-        for name in names:
-            port = f"scan_{name}"
-            builder.ExportOutput(rings.GetOutputPort(port), port)
-        systems.append(rings)
-    return systems
-
-
-def _draw_errors(scenario, index):
-    """Returns the constant errors of all sensors of some rings."""
-    errors = [
-        draw_sensor_errors(
-            scenario.rings.sensor,
-            sensors=scenario.sensors_per_ring,
-            seed=scenario.random_seed,
-            ring=i,
-        )
-        for i in index
-    ]
-    return SensorErrors(
-        bias=np.concatenate([e.bias for e in errors]),
-        gain=np.concatenate([e.gain for e in errors]),
-    )
-
-
-def _add_lidar(builder, scenario, scene_graph, plant, caster):
-    """Adds the lidar with its noise, exports its scan, returns it."""
-    lidar = builder.AddNamedSystem(
-        "lidar",
-        Lidar2d(
-            config=scenario.lidar,
-            caster=caster,
-            bundle=make_base_lidar_bundle(
-                config=scenario.lidar,
-                caster=caster,
-                plant=plant,
-                inspector=scene_graph.model_inspector(),
-                kinematics=RingKinematics.from_plant(plant),
-            ),
-        ),
-    )
-    noise = builder.AddNamedSystem(
-        "noise_lidar",
-        RandomSource(
-            distribution=RandomDistribution.kGaussian,
-            num_outputs=lidar.GetInputPort("noise").size(),
-            sampling_interval_sec=scenario.lidar.period,
-        ),
-    )
-    builder.Connect(noise.get_output_port(), lidar.GetInputPort("noise"))
-    builder.ExportOutput(lidar.GetOutputPort("scan"), "scan_lidar")
-    return lidar

@@ -13,17 +13,23 @@ from tofssm_drake.diagrams.scenario import (
     dump_scenario,
     make_law,
 )
+from tofssm_drake.diagrams.sensors import MotionCapture, PlanarLidar
+from tofssm_drake.diagrams.sensors.rings import Ring, find_rings
 from tofssm_drake.diagrams.station import Station
-from tofssm_drake.messages import RINGS
 from tofssm_drake.metrics.audit import make_audit_metadata
 from tofssm_drake.metrics.standards import make_latency_budget
 from tofssm_drake.people.skeleton import CAPSULES
-from tofssm_drake.perception.lidar_separation import LIDAR
 from tofssm_drake.recording.samples import make_ring_metadata
 from tofssm_drake.sensors.ring_mount import find_ring_mount
 from tofssm_drake.sensors.vl53l1x import calc_cast_range
 
 _PACKAGES = ("tofssm-drake", "drake", "numba", "numpy", "ruckig")
+
+_KIND = {
+    Ring: "rings",
+    MotionCapture: "motion capture",
+    PlanarLidar: "planar lidar",
+}
 
 _FURNITURE = {
     "pick_table": "pick table",
@@ -43,22 +49,23 @@ def make_run_metadata(
         station: Its station.
         robot_bodies: Names for the indices in the column `robot_body`.
     """
+    rings = find_rings(scenario.sensors)
     return {
         "scenario": describe_scenario(scenario),
         "ssm": scenario.ssm.configuration,
-        "sensing": scenario.sensing,
+        "sensing": describe_sensing(scenario),
         "seed": scenario.random_seed,
         "human": type(scenario.human).__name__,
         "products": scenario.program.products,
-        "sensors_per_ring": scenario.sensors_per_ring,
-        "dead_sensors": scenario.dead_sensors,
+        "sensors_per_ring": {n: ring.num_sensors for n, ring in rings.items()},
+        "dead_sensors": {
+            n: ring.dead_sensors
+            for n, ring in rings.items()
+            if ring.dead_sensors
+        },
         "robot_bodies": robot_bodies,
         "person_parts": [capsule.name for capsule in CAPSULES],
-        "ring_geometry": (
-            _describe_rings(scenario, station)
-            if scenario.sensing == "tof"
-            else {}
-        ),
+        "ring_geometry": _describe_rings(rings, station),
         "audit": make_audit_metadata(
             config=scenario.audit,
             ssm=make_law(scenario),
@@ -82,42 +89,35 @@ def get_versions() -> dict[str, str]:
     return versions | {"python": platform.python_version()}
 
 
-def _describe_rings(scenario, station):
+def describe_sensing(scenario: Scenario) -> str:
+    """Returns what watches the person, for the report's words."""
+    kinds = {_KIND.get(type(s), "mixed") for s in scenario.sensors.values()}
+    return kinds.pop() if len(kinds) == 1 else "mixed"
+
+
+def _describe_rings(rings, station):
     inspector = station.scene_graph.model_inspector()
-    rings = {}
-    for name in RINGS:
+    described = {}
+    for name, ring in rings.items():
         mount = find_ring_mount(station.plant, inspector, name)
         p_LS = np.array([X.translation() for X in mount.X_LS])
-        rings[name] = make_ring_metadata(
+        described[name] = make_ring_metadata(
             azimuth=np.arctan2(p_LS[:, 1], p_LS[:, 0]),
-            fov=math.radians(scenario.rings.fov_deg),
+            fov=math.radians(ring.sensor.fov_deg),
             radius=float(np.linalg.norm(p_LS[0])),
-            max_range=calc_cast_range(scenario.rings.sensor),
+            max_range=calc_cast_range(ring.sensor),
         )
-    return rings
+    return described
 
 
 def _calc_latency(scenario):
-    """Returns the parts of the worst-case latency of the sensing, s."""
-    if scenario.sensing == "ideal":
-        integration, wait, delivery = (
-            0.0,
-            scenario.ideal.period,
-            scenario.ideal.latency,
-        )
-    elif scenario.sensing == "lidar":
-        # The mirror sweeps for a period; the scan's time is its middle.
-        integration, wait, delivery = (
-            0.5 * scenario.lidar.period,
-            scenario.lidar.period,
-            scenario.lidar.latency,
-        )
-    else:
-        integration, wait, delivery = (
-            scenario.rings.sensor.timing_budget,
-            scenario.rings.period,
-            scenario.rings.readout_time,
-        )
+    """Returns the parts of the worst-case latency of the sensing, s.
+
+    Of several sensors the slowest counts.
+    """
+    integration, wait, delivery = max(
+        map(_list_delays, scenario.sensors.values()), key=sum
+    )
     return make_latency_budget(
         config=scenario.audit,
         integration=integration,
@@ -127,25 +127,38 @@ def _calc_latency(scenario):
     )
 
 
+def _list_delays(sensor):
+    """Returns integration, longest wait and delivery of a sensor, s."""
+    if isinstance(sensor, MotionCapture):
+        return 0.0, sensor.period, sensor.latency
+    if isinstance(sensor, PlanarLidar):
+        # The mirror sweeps for a period; the scan's time is its middle.
+        lidar = sensor.sensor
+        return 0.5 * lidar.period, lidar.period, lidar.latency
+    ranging = sensor.sensor
+    return ranging.timing_budget, ranging.period, ranging.readout_time
+
+
 def _find_link_offsets(scenario, station):
     """Returns the distance of each link's surface from its centre, m.
 
     For a lidar it is the radius of the workspace around it, unless its
-    distance rule has already subtracted it.
+    distance rule has already subtracted it; for a link that motion capture
+    watches it is that of the nearest surface of a ring there.
     """
-    if scenario.sensing == "lidar":
-        return {LIDAR[0]: scenario.lidar_separation.threshold_offset}
     inspector = station.scene_graph.model_inspector()
-    return {
-        name: float(
-            np.linalg.norm(
-                find_ring_mount(station.plant, inspector, name)
-                .X_LS[0]
-                .translation()
-            )
-        )
-        for name in RINGS
-    }
+    offsets = {}
+    for name, sensor in scenario.sensors.items():
+        if isinstance(sensor, PlanarLidar):
+            offsets[name] = sensor.separation.threshold_offset
+        elif isinstance(sensor, MotionCapture):
+            offsets |= {
+                link: entry.radius for link, entry in sensor.links.items()
+            }
+        else:
+            mount = find_ring_mount(station.plant, inspector, name)
+            offsets[name] = float(np.linalg.norm(mount.X_LS[0].translation()))
+    return offsets
 
 
 def _describe_plan(station):

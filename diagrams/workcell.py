@@ -3,6 +3,7 @@
 import dataclasses as dc
 import math
 
+import numpy as np
 from pydrake.common import RandomGenerator
 from pydrake.geometry import (
     Meshcat,
@@ -15,11 +16,15 @@ from pydrake.systems.framework import Context, Diagram, DiagramBuilder
 from tofssm_drake.arms.kinematics import RingKinematics
 from tofssm_drake.diagrams.monitor import make_monitor
 from tofssm_drake.diagrams.run_metadata import make_run_metadata
-from tofssm_drake.diagrams.scenario import Scenario, get_links
+from tofssm_drake.diagrams.scenario import (
+    Scenario,
+    find_lidars,
+    find_links,
+)
+from tofssm_drake.diagrams.sensors import find_link_frames
+from tofssm_drake.diagrams.sensors.rings import find_rings, group_rings
 from tofssm_drake.diagrams.station import Station, make_station
-from tofssm_drake.messages import RINGS
 from tofssm_drake.metrics.ground_truth import TruthModel
-from tofssm_drake.perception.lidar_mount import make_lidar_kinematics
 from tofssm_drake.recording.recorder import SampleRecorder
 from tofssm_drake.sensors.vl53l1x import calc_cast_range
 from tofssm_drake.visualization.recording import FPS, set_scene
@@ -91,15 +96,15 @@ def make_workcell(
 def _add_recorder(builder, scenario, station, monitor):
     avatar = station.avatar
     truth = _make_truth(scenario, station)
-    has_rings = scenario.sensing == "tof"
+    rings = find_rings(scenario.sensors)
     recorder = builder.AddNamedSystem(
         "recorder",
         SampleRecorder(
             truth=truth,
             motion=None if avatar is None else avatar.motion,
             period=scenario.control_period,
-            rings=get_links(scenario),
-            num_sensors=scenario.sensors_per_ring if has_rings else 0,
+            rings=find_links(scenario),
+            num_sensors={n: ring.num_sensors for n, ring in rings.items()},
             metadata=make_run_metadata(scenario, station, truth.body_names),
         ),
     )
@@ -117,7 +122,7 @@ def _add_recorder(builder, scenario, station, monitor):
         "reason",
         "separation",
         "dsi",
-        *(f"masked_scan_{ring}" for ring in RINGS if has_rings),
+        *(f"masked_scan_{ring}" for ring in rings),
     ):
         builder.Connect(
             monitor.GetOutputPort(name), recorder.GetInputPort(name)
@@ -126,22 +131,21 @@ def _add_recorder(builder, scenario, station, monitor):
 
 
 def _make_truth(scenario, station):
-    """Makes the truth of the links that the sensing watches."""
-    options = {}
-    if scenario.sensing == "lidar":
-        config = scenario.lidar_separation
-        options = {
-            "kinematics": make_lidar_kinematics(
-                scenario.lidar, RingKinematics.from_plant(station.plant)
-            ),
-            # What the distance rule subtracts, so that the two are comparable.
-            "link_offset": config.workspace_radius - config.threshold_offset,
-        }
+    """Makes the truth of the links that the sensors watch."""
+    frames = find_link_frames(scenario.sensors)
+    offsets = dict.fromkeys(frames, 0.0)
+    for name, lidar in find_lidars(scenario).items():
+        # What the distance rule subtracts, so that the two are comparable.
+        separation = lidar.separation
+        offsets[name] = separation.workspace_radius - (
+            separation.threshold_offset
+        )
     return TruthModel(
         plant=station.plant,
         inspector=station.scene_graph.model_inspector(),
         radii=[] if station.avatar is None else station.avatar.radii,
-        **options,
+        kinematics=RingKinematics.from_plant(station.plant, links=frames),
+        link_offsets=np.array(list(offsets.values())),
     )
 
 
@@ -161,23 +165,27 @@ def _add_display(builder, scenario, station, monitor, meshcat):
     builder.Connect(
         monitor.GetOutputPort("robot_state"), light.GetInputPort("robot_state")
     )
-    if scenario.sensing != "tof":
-        return
-    rays = builder.AddNamedSystem(
-        "ring_rays",
-        RingRays(
-            meshcat=meshcat,
-            plant=station.plant,
-            fov=math.radians(scenario.rings.fov_deg),
-            max_range=calc_cast_range(scenario.rings.sensor),
-            sensors_per_ring=scenario.sensors_per_ring,
-            period=period,
-        ),
-    )
-    builder.Connect(
-        station.diagram.GetOutputPort("position_measured"),
-        rays.GetInputPort("position"),
-    )
-    for name in RINGS:
-        port = f"masked_scan_{name}"
-        builder.Connect(monitor.GetOutputPort(port), rays.GetInputPort(port))
+    groups = group_rings(find_rings(scenario.sensors))
+    for i, group in enumerate(groups):
+        sensor = group.one.sensor
+        rays = builder.AddNamedSystem(
+            f"ring_rays_{i}" if i else "ring_rays",
+            RingRays(
+                meshcat=meshcat,
+                plant=station.plant,
+                fov=math.radians(sensor.fov_deg),
+                max_range=calc_cast_range(sensor),
+                rings=group.name,
+                sensors_per_ring=group.one.num_sensors,
+                period=period,
+            ),
+        )
+        builder.Connect(
+            station.diagram.GetOutputPort("position_measured"),
+            rays.GetInputPort("position"),
+        )
+        for name in group.name:
+            port = f"masked_scan_{name}"
+            builder.Connect(
+                monitor.GetOutputPort(port), rays.GetInputPort(port)
+            )

@@ -25,6 +25,9 @@ class Link:
     # The frame of the link's centre, from which distances count, in it.
     X_PL: Pose = dc.field(default_factory=Pose)
 
+    # From the centre to the link's surface, m; only the report uses it.
+    radius: float = 0.0
+
     def check(self, where: str) -> None:
         """Raises UserError unless the link is complete."""
         require(bool(self.parent), f"{where}.parent: name a frame of the robot")

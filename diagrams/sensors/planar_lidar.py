@@ -6,6 +6,7 @@ import dataclasses as dc
 import numpy as np
 from pydrake.common import RandomDistribution
 from pydrake.geometry import GeometryId, Role, SceneGraphInspector
+from pydrake.math import RollPitchYaw
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import FixedOffsetFrame
 from pydrake.systems.primitives import RandomSource
@@ -143,6 +144,7 @@ def add_lidar_to_monitor(
                 where=f"sensors.{name}.X_PS",
             ),
             period=settings.control_period,
+            yaw=_find_yaw(name, monitor.plant),
             name=name,
         ),
     )
@@ -170,6 +172,22 @@ def _make_bundle(name, lidar, caster, plant, inspector) -> RayBundles:
         X_FS=frame.CalcPoseInWorld(plant.CreateDefaultContext()),
         excluded=_find_housing(name, lidar.housing, plant, inspector),
     )
+
+
+def _find_yaw(name, plant) -> float:
+    """Returns the angle of the scanner's x axis about the world's z, rad.
+
+    Raises:
+        UserError: The scanner's plane is not level.
+    """
+    frame = plant.GetFrameByName(f"{name}_scanner")
+    R_WS = frame.CalcPoseInWorld(plant.CreateDefaultContext()).rotation()
+    require(
+        R_WS.matrix()[2, 2] > 1.0 - 1e-9,
+        f"sensors.{name}.X_PS: the scanner's plane must be level, its z axis "
+        "up",
+    )
+    return float(RollPitchYaw(R_WS).yaw_angle())
 
 
 def _find_housing(

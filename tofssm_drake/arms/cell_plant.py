@@ -4,52 +4,40 @@
 what is seen, without one for dynamics.
 """
 
+from collections.abc import Mapping
 import functools
+from typing import Protocol
 
 from pydrake.geometry import SceneGraph
 from pydrake.multibody.plant import MultibodyPlant
 
-from tofssm_drake.errors import require
 import tofssm_drake.models as models
+from tofssm_drake.sensors.ring import Ring
 from tofssm_drake.sensors.ring_looks import add_ring_looks
 
 _URL = f"package://{models.PACKAGE}/"
 
 
-def require_ring_model(
-    sensors_per_ring: int, where: str = "sensors_per_ring"
-) -> None:
-    """Raises UserError if there is no ring model for that many sensors.
+class Mounted(Protocol):
+    """What is fixed to the robot or stands in the cell, such as a sensor."""
 
-    Args:
-        sensors_per_ring: How many.
-        where: What the user calls this, for the message.
-    """
-    folder = models.find_package_xml().parent / "rings"
-    shipped = sorted(
-        int(path.name.split(".")[0].removeprefix("rings_"))
-        for path in folder.glob("rings_*.dmd.yaml")
-    )
-    require(
-        sensors_per_ring in shipped,
-        f"{where}: no ring model with {sensors_per_ring} sensors; there are "
-        f"{', '.join(map(str, shipped))}",
-    )
+    def add_frames(self, plant: MultibodyPlant, name: str) -> None:
+        """Adds its frames to a plant that is not yet finalized."""
 
 
 def make_cell_plant(
     *,
-    sensors_per_ring: int = 8,
+    sensors: Mapping[str, Mounted] | None = None,
     products: int = 0,
     scene_graph: SceneGraph | None = None,
     time_step: float = 0.0,
     cell: bool = True,
     meshes: bool = False,
 ) -> MultibodyPlant:
-    """Makes the plant of robot, gripper, rings, cell and products.
+    """Makes the plant of robot, gripper, cell, sensors and products.
 
     Args:
-        sensors_per_ring: Which ring model to load; 0 loads none.
+        sensors: By name, for their frames and looks; None: there are none.
         products: Number of products, free bodies `product_0` and so on in
             model instances of the same name.
         scene_graph: Where to register the geometry; without it the plant has
@@ -65,7 +53,7 @@ def make_cell_plant(
         A finalized plant.
 
     Raises:
-        UserError: If there is no ring model for that many sensors.
+        UserError: If a sensor is to be mounted where there is no frame.
     """
     plant = MultibodyPlant(time_step)
     if scene_graph is not None:
@@ -80,11 +68,9 @@ def make_cell_plant(
             plant.GetFrameByName("base"),
             _read_base_pose(),
         )
-    if sensors_per_ring:
-        require_ring_model(sensors_per_ring)
-        parser.AddModelsFromUrl(
-            f"{_URL}rings/rings_{sensors_per_ring}.dmd.yaml"
-        )
+    sensors = sensors or {}
+    for name, sensor in sensors.items():
+        sensor.add_frames(plant, name)
     for i in range(products):
         (instance,) = parser.AddModelsFromUrl(_URL + "workcell/product.urdf")
         plant.RenameModelInstance(instance, f"product_{i}")
@@ -93,8 +79,9 @@ def make_cell_plant(
         # reads what would be sampled (contact results).
         plant.SetUseSampledOutputPorts(False)
     plant.Finalize()
-    if sensors_per_ring and scene_graph is not None:
-        add_ring_looks(plant, scene_graph)
+    if scene_graph is not None:
+        rings = [name for name, s in sensors.items() if isinstance(s, Ring)]
+        add_ring_looks(plant, scene_graph, rings=rings)
     if meshes:
         if scene_graph is None:
             raise ValueError("meshes: there is no scene_graph to put them in")
@@ -114,23 +101,4 @@ def _read_base_pose():
     plant.Finalize()
     return plant.GetFrameByName("robot_base").CalcPoseInWorld(
         plant.CreateDefaultContext()
-    )
-
-
-def make_twin_plant(
-    *,
-    scene_graph: SceneGraph,
-    sensors_per_ring: int = 8,
-    products: int = 10,
-    meshes: bool = False,
-) -> MultibodyPlant:
-    """Makes the plant of robot, cell and products.
-
-    Its positions are [q (6), product_0 (7), product_1 (7), ...].
-    """
-    return make_cell_plant(
-        sensors_per_ring=sensors_per_ring,
-        products=products,
-        scene_graph=scene_graph,
-        meshes=meshes,
     )

@@ -157,12 +157,10 @@ def make_sim_ur10(
     builder = DiagramBuilder()
     plant = builder.AddNamedSystem(
         "plant",
-        make_cell_plant(
-            sensors_per_ring=0, cell=False, time_step=config.time_step
-        ),
+        make_cell_plant(cell=False, time_step=config.time_step),
     )
     plant.SetDefaultPositions(initial_position)
-    model = make_cell_plant(sensors_per_ring=0, cell=False)
+    model = make_cell_plant(cell=False)
     controller = builder.AddSystem(
         make_inverse_dynamics_controller(
             plant=model,

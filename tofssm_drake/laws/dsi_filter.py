@@ -14,7 +14,6 @@ from tofssm_drake.laws.distances import (
     reduced_distance,
 )
 from tofssm_drake.messages import (
-    RINGS,
     RingHealth,
     RobotState,
     SafetyIndex,

@@ -9,7 +9,6 @@ from pydrake.systems.framework import LeafSystem
 from tofssm_drake.kernels import njit
 from tofssm_drake.laws.config import SsmConfig
 from tofssm_drake.messages import (
-    RINGS,
     RingHealth,
     RobotState,
     SafetyIndex,

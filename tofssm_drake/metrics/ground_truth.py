@@ -16,7 +16,6 @@ from tofssm_drake.arms.kinematics import (
     calc_sites,
 )
 from tofssm_drake.kernels import njit
-from tofssm_drake.messages import RINGS
 from tofssm_drake.metrics.distance import closest_capsules
 from tofssm_drake.metrics.truth import TruthLayout
 
@@ -314,14 +313,13 @@ class TruthModel:
             frame, registered with a SceneGraph.
         inspector: Its SceneGraph's model inspector. Both are read once.
         radii: Radii of the person's capsules, m, (c,); empty: nobody.
-        rings: Names of the m watched links, whose frames are `<name>_ring`.
+        kinematics: Of the plant's robot, with the m watched links.
         models: Names of the model instances that make up the robot. Their
             proximity geometry must be capsules and spheres.
         pelvis: Index of the capsule whose centre is the person's place.
-        kinematics: Of the watched links, instead of frames of the plant;
-            `rings` then has no effect.
-        link_offset: Subtracted from the links' distances to the person, which
-            end at 0, m. For a sensing that subtracts it as well.
+        link_offsets: Subtracted from the links' distances to the person,
+            which end at 0, m, (m,) or one for all. For a sensing that subtracts
+            it as well.
 
     Attributes:
         layout: Where each quantity sits, a `TruthLayout`.
@@ -340,18 +338,17 @@ class TruthModel:
         plant: MultibodyPlant,
         inspector: SceneGraphInspector,
         radii: np.ndarray,
-        rings: tuple[str, ...],
+        kinematics: RingKinematics,
         models: tuple[str, ...] = ("ur10", "gripper"),
         pelvis: int = 0,
-        kinematics: RingKinematics | None = None,
-        link_offset: float = 0.0,
+        link_offsets: np.ndarray | float = 0.0,
     ):
         robot = RobotCapsules.from_plant(plant, inspector, models=models)
-        if kinematics is None:
-            kinematics = RingKinematics.from_plant(plant, rings=rings)
         self._radii = np.array(radii, dtype=float).ravel()
         self._pelvis = pelvis
-        self._link_offset = link_offset
+        self._link_offsets = np.broadcast_to(
+            np.asarray(link_offsets, dtype=float), len(kinematics.name)
+        )
         self._robot = _Robot(
             X_WB=kinematics.X_WB,
             X_PJ=kinematics.X_PJ,
@@ -391,9 +388,9 @@ class TruthModel:
             self._pelvis,
             truth,
         )
-        if self._link_offset:
+        if self._link_offsets.any():
             links = truth[:, self.layout.ring_distance]
-            links[:] = np.maximum(links - self._link_offset, 0.0)
+            links[:] = np.maximum(links - self._link_offsets, 0.0)
         return truth
 
 

@@ -10,7 +10,6 @@ from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
 from tofssm_drake.errors import require_period
 from tofssm_drake.kernels import njit
 from tofssm_drake.messages import (
-    RINGS,
     Reading,
     RingHealth,
     Separation,

@@ -38,9 +38,6 @@ _VALID = int(Reading.VALID)
 _MASKED = int(Reading.MASKED)
 _FAULTED = int(Reading.FAULTED)
 
-LIDAR = ("lidar",)
-"""Name of a lidar's only link: the whole robot."""
-
 DISTANCE_RULES = ("raw", "subtracted", "literal")
 
 
@@ -232,11 +229,13 @@ def calc_lidar_separation(
     previous_reading: np.ndarray | None = None,
     v_WT: np.ndarray,
     k_max: float = 3.3,
+    yaw: float = 0.0,
+    name: str = "lidar",
 ) -> Separation:
     """Calculates the separation of the robot from a lidar's scan.
 
-    The nearest VALID ray decides. P^ is its direction: the lidar's axes are
-    those of the world. The robot's speed is the tool's (which reaches as far as
+    The nearest VALID ray decides. P^ is its direction: the lidar's z axis is
+    that of the world. The robot's speed is the tool's (which reaches as far as
     r_o): k_l = V_tool . P^. The lidar stands still, so the person's own
     speed towards it is the change of the raw distance from scan to scan, and
     k_o = k_l - (d(t) - d(t - dt)) / dt. If the previous scan shows nothing
@@ -251,6 +250,8 @@ def calc_lidar_separation(
         previous_reading: its readings.
         v_WT: velocity of the tool, m/s, (3,).
         k_max: k_l and k_o are saturated to +-k_max, m/s.
+        yaw: of the lidar's x axis about the world's z axis, rad.
+        name: of the lidar's link.
     """
     speed = float(np.linalg.norm(v_WT))
     count = count_readings(reading)
@@ -265,7 +266,7 @@ def calc_lidar_separation(
     else:
         angle, d = float(scan.angles[ray]), float(scan.ranges[ray])
         distance = float(calc_lidar_distance(config, d))
-        direction = math.cos(angle), math.sin(angle), 0.0
+        direction = math.cos(angle + yaw), math.sin(angle + yaw), 0.0
         k_l = float(v_WT @ np.array(direction))
         v_h = config.V_hmax
         dt = math.inf if previous is None else scan.time - previous.time
@@ -290,7 +291,7 @@ def calc_lidar_separation(
         *direction,
     )
     whole[:, 0] = scan.sequence, ray, health, *count
-    return lay_out_separation(LIDAR, reals, whole)
+    return lay_out_separation((name,), reals, whole)
 
 
 class ToolKinematics(Protocol):
@@ -333,6 +334,8 @@ class LidarSeparation(LeafSystem):
         kinematics: ToolKinematics,
         background: np.ndarray,
         period: float = 0.008,
+        yaw: float = 0.0,
+        name: str = "lidar",
     ):
         """Constructs the system.
 
@@ -342,6 +345,8 @@ class LidarSeparation(LeafSystem):
             kinematics: of the robot.
             background: of the empty cell, m, (n,); inf: nothing in range.
             period: control tick, s.
+            yaw: of the lidar's x axis about the world's z axis, rad.
+            name: of the only link: the whole robot.
 
         Raises:
             UserError: if a setting is out of range.
@@ -351,6 +356,8 @@ class LidarSeparation(LeafSystem):
         require_period(period)
         self._config = dc.replace(config)
         self._k_max = k_max
+        self._yaw = yaw
+        self._name = name
         self._kinematics = kinematics
         self._background = np.array(background, dtype=float)
         self._scan = self.DeclareAbstractInputPort("scan", Value(LidarScan()))
@@ -358,7 +365,7 @@ class LidarSeparation(LeafSystem):
         self._velocity = self.DeclareVectorInputPort("velocity_measured", 6)
         self._before = self.DeclareAbstractState(Value(_Classified()))
         self._separation = self.DeclareAbstractState(
-            Value(make_empty_separation(LIDAR))
+            Value(make_empty_separation((name,)))
         )
         self.DeclareStateOutputPort("separation", self._separation)
         self.DeclarePeriodicUnrestrictedUpdateEvent(period, 0.0, self._update)
@@ -390,6 +397,8 @@ class LidarSeparation(LeafSystem):
             previous_reading=None if is_first else before.reading,
             v_WT=v_WS[-1],
             k_max=self._k_max,
+            yaw=self._yaw,
+            name=self._name,
         )
         state.get_mutable_abstract_state(self._separation).set_value(separation)
         state.get_mutable_abstract_state(self._before).set_value(

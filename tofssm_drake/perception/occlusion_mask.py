@@ -19,7 +19,6 @@ from pydrake.systems.framework import (
 from tofssm_drake.errors import require, require_period
 from tofssm_drake.kernels import njit
 from tofssm_drake.messages import (
-    RINGS,
     MaskedScan,
     Reading,
     RingScan,
@@ -40,8 +39,8 @@ from tofssm_drake.raycast.fan import make_cone_fan
 from tofssm_drake.raycast.ray_caster import RayBundles, RayCaster
 from tofssm_drake.sensors.ring_mount import RingMount
 from tofssm_drake.sensors.vl53l1x import (
-    Vl53l1x,
     STATUS_NO_NEW_DATA,
+    Vl53l1x,
     calc_cast_range,
     check_range,
 )
@@ -160,9 +159,7 @@ def make_proof_bundles(
     )
 
 
-def make_mask_fan(
-    config: OcclusionMaskConfig, sensor: Vl53l1x
-) -> np.ndarray:
+def make_mask_fan(config: OcclusionMaskConfig, sensor: Vl53l1x) -> np.ndarray:
     """Returns the directions of a sensor's rays on the twin, (k, 3).
 
     They are those of the ring itself, so that a simulated sensor and the mask

@@ -21,7 +21,6 @@ from pydrake.systems.framework import (
 
 from tofssm_drake.errors import require_period
 from tofssm_drake.messages import (
-    RINGS,
     MaskedScan,
     Reading,
     RingHealth,
@@ -60,8 +59,8 @@ from tofssm_drake.perception.self_hits import (
 from tofssm_drake.raycast.ray_caster import RayBundles, RayCaster
 from tofssm_drake.sensors.ring_mount import RingMount
 from tofssm_drake.sensors.vl53l1x import (
-    Vl53l1x,
     STATUS_NO_NEW_DATA,
+    Vl53l1x,
     calc_cast_range,
 )
 

@@ -32,12 +32,12 @@ from tofssm_drake.perception.occlusion_mask import (
 )
 from tofssm_drake.raycast.fan import make_cone_fan
 from tofssm_drake.sensors.vl53l1x import (
-    Vl53l1x,
     STATUS_MIN_RANGE_CLIPPED,
     STATUS_OUT_OF_BOUNDS,
     STATUS_SIGNAL_FAIL,
     STATUS_VALID,
     STATUS_WRAP_AROUND,
+    Vl53l1x,
     check_range,
 )
 

@@ -12,7 +12,6 @@ from pydrake.systems.framework import Context, LeafSystem
 from tofssm_drake.kernels import njit
 from tofssm_drake.messages import (
     FAULT_NAMES,
-    RINGS,
     MaskedScan,
     Reading,
     RingHealth,

@@ -1,5 +1,6 @@
 """Recorder of one row per control tick."""
 
+from collections.abc import Mapping
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
@@ -14,7 +15,6 @@ from pydrake.systems.framework import (
 from pydrake.systems.primitives import Multiplexer, VectorLogSink
 
 from tofssm_drake.messages import (
-    RINGS,
     MaskedScan,
     Reading,
     RobotState,
@@ -127,14 +127,14 @@ def _join(parts):
 class _Log:
     """The messages that one Context recorded, with the time of each."""
 
-    def __init__(self, num_rings):
+    def __init__(self, scanned):
         self.times = []
         self.separations = []
         self.indices = []
         self.packed = []
-        self.scans = [[] for _ in range(num_rings)]
-        self.packed_scans = [[] for _ in range(num_rings)]
-        self.sequence = [-1] * num_rings
+        self.scans = {ring: [] for ring in scanned}
+        self.packed_scans = {ring: [] for ring in scanned}
+        self.sequence = dict.fromkeys(scanned, -1)
         self.state_times = []
         self.ring_states = []
         self.reasons = []
@@ -149,9 +149,9 @@ class _Log:
         if self.separations:
             self.packed.append(pack_messages(self.separations, self.indices))
             self.separations, self.indices = [], []
-        for scans, packed in zip(self.scans, self.packed_scans, strict=True):
+        for ring, scans in self.scans.items():
             if scans:
-                packed.append(_pack_scans(scans))
+                self.packed_scans[ring].append(_pack_scans(scans))
                 scans.clear()
 
 
@@ -193,10 +193,16 @@ class MessageLog(LeafSystem):
     Args:
         period: Control tick, s.
         rings: Names of the m watched links, as in the messages.
-        has_scans: Whether there are `masked_scan` ports.
+        scanned: Names of those that have a `masked_scan` port.
     """
 
-    def __init__(self, *, period: float, rings: tuple[str, ...], has_scans):
+    def __init__(
+        self,
+        *,
+        period: float,
+        rings: tuple[str, ...],
+        scanned: tuple[str, ...],
+    ):
         super().__init__()
         m = len(rings)
         self._rings = tuple(rings)
@@ -208,16 +214,19 @@ class MessageLog(LeafSystem):
         self._dsi_port = self.DeclareAbstractInputPort(
             "dsi", Value(make_empty_safety_index(self._rings))
         )
-        self._scan_ports = [
-            self.DeclareAbstractInputPort(
-                f"masked_scan_{name}", Value(MaskedScan())
+        self._scan_ports = {
+            name: (
+                self._rings.index(name),
+                self.DeclareAbstractInputPort(
+                    f"masked_scan_{name}", Value(MaskedScan())
+                ),
             )
-            for name in (self._rings if has_scans else ())
-        ]
+            for name in scanned
+        }
         self._log = self.DeclareCacheEntry(
             description="log",
             value_producer=ValueProducer(
-                allocate=lambda: Value(_Log(m)),
+                allocate=lambda: Value(_Log(scanned)),
                 calc=ValueProducer.NoopCalc,
             ),
             prerequisites_of_calc={self.nothing_ticket()},
@@ -265,12 +274,12 @@ class MessageLog(LeafSystem):
 
     def _record_scans(self, context, log, sequence):
         """Keeps the scans that the new separation was made from."""
-        for i, port in enumerate(self._scan_ports):
-            if sequence[i] != log.sequence[i]:
-                log.sequence[i] = sequence[i]
+        for ring, (i, port) in self._scan_ports.items():
+            if sequence[i] != log.sequence[ring]:
+                log.sequence[ring] = sequence[i]
                 masked = port.Eval(context)
                 if masked.scan.sequence >= 0:
-                    log.scans[i].append(
+                    log.scans[ring].append(
                         _Scan(
                             time=context.get_time(),
                             distance=masked.scan.distance,
@@ -331,8 +340,8 @@ class SampleRecorder(Diagram):
         motion: How the person moves; None: nobody.
         period: Control tick, s.
         rings: Names of the m watched links, as in the messages.
-        num_sensors: Sensors per ring. 0 declares no `masked_scan` ports and
-            records no scans (sensing without rings).
+        num_sensors: Number of sensors of each ring; its scans are recorded.
+            Other links have none.
         metadata: Plain values (JSON) to store with the samples, such as the
             scenario, the seed and what `Samples` names.
     """
@@ -344,14 +353,14 @@ class SampleRecorder(Diagram):
         motion: HumanMotion | None = None,
         period: float = 0.008,
         rings: tuple[str, ...],
-        num_sensors: int = 8,
+        num_sensors: Mapping[str, int],
         metadata: dict | None = None,
     ):
         super().__init__()
         self._truth = truth
         self._motion = motion
         self._rings = tuple(rings)
-        self._num_sensors = num_sensors
+        self._num_sensors = dict(num_sensors)
         self._metadata = {"rings": list(rings), "period": period}
         self._metadata.update(metadata or {})
 
@@ -379,7 +388,9 @@ class SampleRecorder(Diagram):
         self._messages = builder.AddNamedSystem(
             "message_log",
             MessageLog(
-                period=period, rings=self._rings, has_scans=num_sensors > 0
+                period=period,
+                rings=self._rings,
+                scanned=tuple(self._num_sensors),
             ),
         )
         for i, name in enumerate(sizes):
@@ -437,14 +448,10 @@ class SampleRecorder(Diagram):
         for name, values in _lay_out_truth(truth, layout):
             insert(name, values)
         column["reason"] = reasons
-        scan = {}
-        if self._num_sensors:
-            scan = {
-                ring: self._join_scans(parts)
-                for ring, parts in zip(
-                    self._rings, log.packed_scans, strict=True
-                )
-            }
+        scan = {
+            ring: self._join_scans(parts, self._num_sensors[ring])
+            for ring, parts in log.packed_scans.items()
+        }
         return Samples(column=column, scan=scan, metadata=dict(self._metadata))
 
     def _calc_truth(self, plain, t):
@@ -482,12 +489,12 @@ class SampleRecorder(Diagram):
         which = _find_in_force([-np.inf, *log.state_times], t)
         return states[which], reasons[which]
 
-    def _join_scans(self, parts):
+    def _join_scans(self, parts, n):
         if parts:
             return _join(parts)
         return {
             "time": np.empty(0),
-            "distance": np.empty((0, self._num_sensors), dtype=np.float32),
-            "reading": np.empty((0, self._num_sensors), dtype=np.int8),
-            "fault": np.empty((0, self._num_sensors), dtype=np.int8),
+            "distance": np.empty((0, n), dtype=np.float32),
+            "reading": np.empty((0, n), dtype=np.int8),
+            "fault": np.empty((0, n), dtype=np.int8),
         }

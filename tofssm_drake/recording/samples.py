@@ -27,7 +27,6 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from tofssm_drake.errors import UserError
-from tofssm_drake.messages import RINGS
 
 _KEY = b"tofssm"
 
@@ -105,7 +104,7 @@ class Samples:
     @property
     def rings(self) -> tuple[str, ...]:
         """Names of the watched links, in column order."""
-        return tuple(self.metadata.get("rings", RINGS))
+        return tuple(self.metadata["rings"])
 
     def ring(self, name: str) -> np.ndarray:
         """Returns the column `name` of every ring, shape (rows, m)."""

@@ -17,7 +17,7 @@ from matplotlib.patches import Patch, PathPatch, Polygon
 from matplotlib.path import Path
 import numpy as np
 
-from tofssm_drake.messages import RINGS, Reading, RobotState
+from tofssm_drake.messages import Reading, RobotState
 from tofssm_drake.metrics.metrics import StateEvent, find_contacts
 from tofssm_drake.recording.samples import Samples
 
@@ -149,21 +149,23 @@ def pick(samples: Samples, name: str, ring: np.ndarray) -> np.ndarray:
 
 
 _WATCHER = {
-    "tof": "the rings",
-    "ideal": "motion capture",
-    "lidar": "the lidar",
+    "rings": "the rings",
+    "motion capture": "motion capture",
+    "planar lidar": "the lidar",
+    "mixed": "the sensors",
 }
+_NOUN = {"rings": "ring", "motion capture": "link"}
 
 
 def get_watcher(samples: Samples) -> str:
     """Returns what watched the person, in words."""
-    return _WATCHER[samples.metadata.get("sensing", "tof")]
+    return _WATCHER[samples.metadata.get("sensing", "rings")]
 
 
 def name_link(samples: Samples, link: str) -> str:
     """Returns the name of one of the watched links, e.g. "base ring"."""
-    noun = {"tof": "ring", "ideal": "link", "lidar": ""}
-    return f"{link} {noun[samples.metadata.get('sensing', 'tof')]}".strip()
+    noun = _NOUN.get(samples.metadata.get("sensing", "rings"), "")
+    return f"{link} {noun}".strip()
 
 
 def _finite(values):
@@ -666,7 +668,7 @@ def make_rings(samples: Samples, *, narrow: bool = False) -> Figure:
     """
     rings = samples.rings
     t = samples["t"]
-    strips = 2 if samples.metadata.get("sensing", "tof") == "tof" else 1
+    strips = 2 if samples.scan else 1
     with matplotlib.rc_context(STYLE):
         figure = Figure(
             figsize=_size_rings(len(rings), strips, narrow),
@@ -685,8 +687,10 @@ def make_rings(samples: Samples, *, narrow: bool = False) -> Figure:
             columns = 0 if i else 2 if narrow else 4
             ax = axes[strips * i]
             _draw_ring_distance(ax, samples, ring, columns, narrow)
-            if strips == 2:
+            if ring in samples.scan:
                 image = _draw_readings(axes[2 * i + 1], samples, ring) or image
+            elif strips == 2:
+                axes[2 * i + 1].set_axis_off()
         axes[0].set_xlim(t[0], max(t[-1], t[0] + 1e-3))
         axes[-1].set_xlabel("time (s)")
         if image is not None:
@@ -721,7 +725,7 @@ def _add_reading_legend(figure, axes, image):
 def _size_rings(rings, strips, narrow):
     if strips == 1:
         return (4.3, 1.0 + 2.3 * rings) if narrow else (10.6, 0.8 + 2.2 * rings)
-    return (4.3, 3.4 * rings) if narrow else (10.6, 3.1 * 3)
+    return (4.3, 3.4 * rings) if narrow else (10.6, 3.1 * rings)
 
 
 def _draw_ring_distance(ax, samples, ring, columns, narrow):
@@ -740,7 +744,7 @@ def _draw_ring_distance(ax, samples, ring, columns, narrow):
         narrow,
         linewidth=1.0,
         label="true, from link centre"
-        if ring in RINGS
+        if samples.metadata.get("sensing") != "planar lidar"
         else f"true, from the {ring}",
     )
     _draw_least(

@@ -34,7 +34,7 @@ _ROWS_SHOWN = 30
 _NONE = "\u2013"
 _MINUS = "\u2212"
 _BEHIND = "nearer to the link than the sensors sit"
-_NOUN = {"tof": "ring", "ideal": "link", "lidar": ""}
+_NOUN = {"rings": "ring", "motion capture": "link"}
 
 _CONFIGURATION = {
     "vo": (
@@ -472,7 +472,7 @@ def _make_contact(contact, samples):
         if view.sensors is not None
     ]
     text = describe_contact(
-        contact, _NOUN[samples.metadata.get("sensing", "tof")]
+        contact, _NOUN.get(samples.metadata.get("sensing", "rings"), "")
     )
     rings = len(contact.approach.rings)
     return {
@@ -613,7 +613,7 @@ def make_report(
                 for line in metadata.get("self_hit_coverage", ())
             ),
         ],
-        sensing=metadata.get("sensing", "tof"),
+        sensing=metadata.get("sensing", "rings"),
         audit=make_audit_section(samples) if is_known else None,
         person_is_known=is_known,
         headlines=_make_headlines(summary, products),
@@ -808,7 +808,7 @@ def _make_facts(samples, summary):
     ):
         if (
             key == "sensors_per_ring"
-            and metadata.get("sensing", "tof") != "tof"
+            and metadata.get("sensing", "rings") != "tof"
         ):
             continue
         if metadata.get(key) is not None:

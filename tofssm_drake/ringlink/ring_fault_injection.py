@@ -1,13 +1,12 @@
 """Faults of rings and of their wires, injected on purpose."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 import dataclasses as dc
 import re
 
 import numpy as np
 
 from tofssm_drake.errors import UserError, require
-from tofssm_drake.messages import RINGS
 from tofssm_drake.ringlink.ring_frame import (
     FLAG_BUS_ERROR,
     FLAG_RESTARTED,
@@ -315,7 +314,7 @@ class RingFault:
 
 
 def parse_ring_fault(
-    text: str, where: str = "--fault", sensors: int = 16
+    text: str, rings: Mapping[str, int], where: str = "--fault"
 ) -> RingFault:
     """Reads a fault: KIND:RING[.SENSOR]@START[-END], s.
 

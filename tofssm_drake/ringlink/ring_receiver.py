@@ -4,7 +4,7 @@ No clock, no socket: the scans follow from the bytes and their times of
 arrival, so a recording of both gives the same scans again.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 import dataclasses as dc
 
 import numpy as np
@@ -41,6 +41,7 @@ from tofssm_drake.ringlink.ring_frame import (
     peek_ring,
     unwrap,
 )
+from tofssm_drake.sensors.ring import Ring
 from tofssm_drake.sensors.vl53l1x import (
     STATUS_BUS_FAILURE,
     STATUS_CONTESTED,
@@ -67,7 +68,8 @@ _MOST_CONTESTED = 16.0
 class RingLinkConfig:
     """How the frames of real rings are received."""
 
-    # Numbers of the rings base, elbow and tool in their frames.
+    # Number of each ring in its frames, in the scenario's order; empty: 0, 1,
+    # 2, ...
     ring_numbers: list[int] = dc.field(default_factory=list)
 
     # Greatest drift between a device's clock and the host's, s/s (*assumed*:

@@ -8,7 +8,7 @@ from pydrake.common.value import Value
 from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
 
 from tofssm_drake.errors import UserError, require
-from tofssm_drake.messages import RINGS, RingScan
+from tofssm_drake.messages import RingScan
 from tofssm_drake.ringlink.ring_link import RingConnection, explain_silence
 
 

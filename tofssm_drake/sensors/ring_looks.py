@@ -1,5 +1,7 @@
 """What a ToF ring looks like: a band around the link, a window per sensor."""
 
+from collections.abc import Sequence
+
 import numpy as np
 from pydrake.geometry import (
     Box,
@@ -11,8 +13,6 @@ from pydrake.geometry import (
 from pydrake.math import RigidTransform
 from pydrake.multibody.plant import MultibodyPlant
 
-from tofssm_drake.messages import RINGS
-
 BAND = np.array([0.12, 0.13, 0.15, 1.0])
 WINDOW = np.array([0.55, 0.78, 0.95, 1.0])
 
@@ -21,7 +21,7 @@ def add_ring_looks(
     plant: MultibodyPlant,
     scene_graph: SceneGraph,
     *,
-    rings: tuple[str, ...],
+    rings: Sequence[str],
 ) -> None:
     """Adds illustration geometry for the rings; sensors do not see it.
 

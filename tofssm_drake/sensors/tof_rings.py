@@ -11,7 +11,7 @@ from pydrake.geometry import QueryObject
 from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
 
 from tofssm_drake.errors import require
-from tofssm_drake.messages import RINGS, RingScan
+from tofssm_drake.messages import RingScan
 from tofssm_drake.raycast.fan import make_cone_fan
 from tofssm_drake.raycast.ray_caster import RayBundles, RayCaster
 from tofssm_drake.sensors.ring_mount import RingMount
@@ -163,9 +163,7 @@ class TofRings(LeafSystem):
         self._noise_scans = noise_scans
         self._rows = [slice(n * i, n * i + n) for i in range(len(name))]
         self._no_noise = (
-            np.zeros((num_sensors, NOISE_DRAWS))
-            if config.ideal
-            else None
+            np.zeros((num_sensors, NOISE_DRAWS)) if config.ideal else None
         )
 
         self._geometry_query = self.DeclareAbstractInputPort(

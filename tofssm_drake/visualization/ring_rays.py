@@ -8,7 +8,7 @@ from pydrake.multibody.plant import MultibodyPlant
 from pydrake.systems.framework import LeafSystem
 
 from tofssm_drake.arms.kinematics import RingKinematics
-from tofssm_drake.messages import RINGS, MaskedScan, Reading
+from tofssm_drake.messages import MaskedScan, Reading
 from tofssm_drake.visualization import palette
 from tofssm_drake.visualization.animated import AnimatedProperty
 
@@ -91,7 +91,9 @@ class RingRays(LeafSystem):
     ):
         super().__init__()
         self._meshcat = meshcat
-        self._kinematics = RingKinematics.from_plant(plant, rings=rings)
+        self._kinematics = RingKinematics.from_plant(
+            plant, links={ring: f"{ring}_ring" for ring in rings}
+        )
         self._max_range = max_range
         self._period = period
         self._rings = tuple(rings)
