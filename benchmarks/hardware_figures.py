@@ -5,9 +5,11 @@ from pathlib import Path
 
 from mcap.reader import make_reader
 import numpy as np
+import yaml
 
+from tofssm_drake.diagrams.ring_decoder import make_ring_decoder
+from tofssm_drake.diagrams.scenario import Scenario, change_scenario
 from tofssm_drake.recording.run_record import RecordedTick, RunReader
-from tofssm_drake.ringlink.ring_receiver import RingDecoder, RingLinkConfig
 from tofssm_drake.ringlink.ring_systems import is_ahead
 
 # The first ticks, while everything is still starting up, s.
@@ -135,11 +137,10 @@ def _find_frames(path, run, ticks):
 
 def _decode_frames(path, run):
     """Returns when each frame came, s, by ring and sequence of its scan."""
-    scenario = run["scenario"]
-    decoder = RingDecoder(
-        config=RingLinkConfig(),
-        num_sensors=scenario["sensors_per_ring"],
-        timing_budget=scenario["rings"]["sensor"]["timing_budget"],
+    decoder = make_ring_decoder(
+        change_scenario(
+            Scenario(), yaml.safe_dump(run["scenario"]), source="the record"
+        )
     )
     arrivals = {}
     with path.open("rb") as stream:

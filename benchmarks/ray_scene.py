@@ -22,10 +22,10 @@ from pydrake.geometry import (
 from pydrake.math import RigidTransform
 from pydrake.systems.framework import DiagramBuilder
 
-from tofssm_drake.arms.cell_plant import make_twin_plant
+from tofssm_drake.arms.cell_plant import make_cell_plant
 from tofssm_drake.arms.kinematics import RingKinematics
 from tofssm_drake.diagrams.scenario import load_scenario
-from tofssm_drake.messages import RINGS
+from tofssm_drake.diagrams.sensors.rings import find_rings
 from tofssm_drake.people.avatar import HumanAvatar
 from tofssm_drake.people.motion import capsule_ends
 from tofssm_drake.people.skeleton import calc_capsule_poses
@@ -66,14 +66,18 @@ class Scene:
     def __init__(self, *, sensors: int, meshes: bool):
         scenario = load_scenario(name="Default")
         motion = make_walk(scenario.human, scenario.control_period)
-        avatar = self._make_world(motion, sensors=sensors, meshes=meshes)
+        rings = find_rings(scenario.sensors)
+        for ring in rings.values():
+            ring.count = sensors
+        avatar = self._make_world(motion, rings=rings, meshes=meshes)
         inspector = self.scene_graph.model_inspector()
         self.caster = RayCaster(inspector)
         self.mounts = [
-            find_ring_mount(self.plant, inspector, ring) for ring in RINGS
+            find_ring_mount(self.plant, inspector, ring) for ring in rings
         ]
+        sensor = next(iter(rings.values())).sensor
         self.bundles = make_ring_bundles(
-            config=scenario.rings, caster=self.caster, mounts=self.mounts
+            config=sensor, caster=self.caster, mounts=self.mounts
         )
         self.max_range = float(self.bundles.max_range[0])
         layout = ProductLayout.from_config(scenario.program)
@@ -86,9 +90,7 @@ class Scene:
         )
         path = make_program_path(scenario.program, kinematics)
         # Scans that follow one another, from the middle of the task.
-        times = (
-            0.3 * path.duration + np.arange(NUM_STATES) * scenario.rings.period
-        )
+        times = 0.3 * path.duration + np.arange(NUM_STATES) * sensor.period
         self.states = []
         for time in times:
             reported = {
@@ -115,14 +117,15 @@ class Scene:
         self.X_WF = np.array([self.calc_poses(i) for i in range(NUM_STATES)])
         self.rays = [self.caster.calc_rays(self.bundles, X) for X in self.X_WF]
 
-    def _make_world(self, motion, *, sensors: int, meshes: bool) -> HumanAvatar:
+    def _make_world(self, motion, *, rings, meshes: bool) -> HumanAvatar:
         """Makes plant, SceneGraph and their Contexts; returns the person."""
         builder = DiagramBuilder()
         self.scene_graph = builder.AddSystem(SceneGraph())
         self.plant = builder.AddSystem(
-            make_twin_plant(
+            make_cell_plant(
                 scene_graph=self.scene_graph,
-                sensors_per_ring=sensors,
+                sensors=rings,
+                products=10,
                 meshes=meshes,
             )
         )

@@ -16,6 +16,7 @@ from tofssm_drake.ringlink.ring_device import (
 from tofssm_drake.ringlink.ring_frame import encode_frame, encode_serial
 from tofssm_drake.ringlink.ring_link import RingLink
 from tofssm_drake.ringlink.ring_receiver import RingDecoder, RingLinkConfig
+from tofssm_drake.sensors.ring import Ring
 
 _BUDGET = 0.020
 _FRAMES = 2000
@@ -24,8 +25,7 @@ _FRAMES = 2000
 def make_decoder(sensors=8):
     return RingDecoder(
         config=RingLinkConfig(settle_time=0.0),
-        num_sensors=sensors,
-        timing_budget=_BUDGET,
+        rings={"ring": Ring(count=sensors)},
     )
 
 

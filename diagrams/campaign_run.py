@@ -10,15 +10,17 @@ from tofssm_drake.diagrams.scenario import (
     NoHuman,
     Scenario,
     change_scenario,
+    load_scenario,
 )
+from tofssm_drake.diagrams.sensors.rings import find_rings
 from tofssm_drake.diagrams.simulation import Run
 from tofssm_drake.diagrams.workcell import make_workcell
 from tofssm_drake.metrics.audit import calc_audit
 from tofssm_drake.metrics.run_metrics import calc_run_metrics
+from tofssm_drake.paper.campaign import VARIANTS, PlannedRun, make_row
 from tofssm_drake.people.bvh import BvhRecording
 from tofssm_drake.people.walk import GeneratedWalk
 from tofssm_drake.recording.samples import write_samples
-from tofssm_drake.studies.campaign import VARIANTS, PlannedRun, make_row
 
 
 @dc.dataclass(frozen=True, kw_only=True)
@@ -48,8 +50,7 @@ def make_run_scenario(
     scenario = copy.deepcopy(base)
     cell, trial = run.cell, run.trial
     scenario.ssm.configuration = cell.configuration
-    scenario.sensing = "tof" if cell.sensing == "tof16" else cell.sensing
-    scenario.sensors_per_ring = 16 if cell.sensing == "tof16" else 8
+    scenario.sensors = _choose_sensors(base, cell.sensing)
     if cell.variant:
         scenario = change_scenario(
             scenario, VARIANTS[cell.variant].changes, source=cell.key
@@ -73,6 +74,23 @@ def make_run_scenario(
     else:
         scenario.human = BvhRecording(filename=motion, figure_eight=path)
     return scenario
+
+
+def _choose_sensors(base, sensing):
+    """Returns the sensors of a cell.
+
+    The rings are the base's, which may have changed; 16 sensors each if the
+    cell says so.
+    """
+    if sensing == "ideal":
+        return load_scenario(name="MotionCapture").sensors
+    if sensing == "lidar":
+        return load_scenario(name="PlanarLidar").sensors
+    sensors = copy.deepcopy(base.sensors)
+    if sensing == "tof16":
+        for ring in find_rings(sensors).values():
+            ring.count = 16
+    return sensors
 
 
 def execute(

@@ -12,10 +12,10 @@ from tofssm_drake.arms.kinematics import RingKinematics
 from tofssm_drake.diagrams.hardware_station import make_hardware_station
 from tofssm_drake.diagrams.held_connections import HeldRings, HeldRobot
 from tofssm_drake.diagrams.scenario import Scenario, make_law
+from tofssm_drake.diagrams.sensors.rings import find_rings
 from tofssm_drake.diagrams.simulation import make_simulator
 from tofssm_drake.diagrams.workcell import Workcell, make_workcell
 from tofssm_drake.messages import (
-    RINGS,
     RingHealth,
     RingScan,
     RobotReport,
@@ -144,7 +144,11 @@ class HardwareLoop:
         self._station = make_hardware_station(
             scenario,
             robot=HeldRobot(self._send_if_live),
-            rings=None if virtual_rings else HeldRings(),
+            rings=(
+                None
+                if virtual_rings
+                else HeldRings(tuple(find_rings(scenario.sensors)))
+            ),
             slider=dc.replace(
                 slider, reduced_fraction=scenario.ssm.rho_reduced
             ),
@@ -250,7 +254,7 @@ class HardwareLoop:
     def _warm_up(self):
         """Runs a few ticks so that kernels are compiled."""
         scenario = self._scenario
-        n = scenario.sensors_per_ring
+        rings = find_rings(scenario.sensors)
         path = make_program_path(
             scenario.program, RingKinematics.from_plant(self._station.plant)
         )
@@ -258,22 +262,29 @@ class HardwareLoop:
         self._station.robot.report = RobotReport(
             sequence=0, position=q, velocity=np.zeros(6)
         )
-        period = scenario.rings.period
+        period = max(ring.sensor.period for ring in rings.values())
         for i in range(_WARM_UP):
-            scan = RingScan(
-                sequence=i,
-                time=i * period,
-                sensor_time=np.full(n, i * period),
-                distance=np.full(n, 1.0),
-                status=np.zeros(n, dtype=np.uint8),
-            )
             self.tick(
                 TickInput(
                     time=(i + 1) * period,
                     report=self._station.robot.report,
-                    scans=(scan,) * len(RINGS),
+                    scans=tuple(
+                        _make_warm_up_scan(i, i * period, ring.num_sensors)
+                        for ring in rings.values()
+                    ),
                 )
             )
         self._station.robot.report = RobotReport()
         if self._station.rings is not None:
-            self._station.rings.scans = HeldRings().scans
+            self._station.rings.scans = HeldRings(tuple(rings)).scans
+
+
+def _make_warm_up_scan(sequence, time, n):
+    """Returns a scan in which each of n sensors sees something at 1 m."""
+    return RingScan(
+        sequence=sequence,
+        time=time,
+        sensor_time=np.full(n, time),
+        distance=np.full(n, 1.0),
+        status=np.zeros(n, dtype=np.uint8),
+    )

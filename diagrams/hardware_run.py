@@ -470,6 +470,7 @@ def describe_state(result: TickResult) -> dict:
     """Returns the monitor's results in a tick as plain values."""
     return {
         "robot_state": result.robot_state,
+        "links": list(result.separation.name),
         "ring_states": list(result.ring_states),
         "reason": result.reason,
         "speed_fraction": result.speed_fraction,

@@ -9,9 +9,9 @@ from tofssm_drake.arms.kinematics import RingKinematics
 from tofssm_drake.diagrams.held_connections import HeldRings, HeldRobot
 from tofssm_drake.diagrams.ring_world import add_ring_world, make_scene
 from tofssm_drake.diagrams.scenario import NoHuman, Scenario, make_law
+from tofssm_drake.diagrams.sensors.rings import find_rings
 from tofssm_drake.diagrams.station import Station
 from tofssm_drake.laws.sensing_problem import SensingProblem
-from tofssm_drake.messages import RINGS
 from tofssm_drake.ringlink.ring_systems import (
     RingInterfaceSystem,
     RingSubscriberSystem,
@@ -97,7 +97,7 @@ def make_hardware_station(
     seen = scenario
     if rings is not None:
         # Nobody is simulated whom the twin could see.
-        seen = dc.replace(scenario, sensing="ideal", human=NoHuman())
+        seen = dc.replace(scenario, human=NoHuman())
     scene_graph, plant = make_scene(builder, seen)
     subscriber, receiver, commanded = _add_robot(
         builder,
@@ -107,7 +107,7 @@ def make_hardware_station(
         ),
     )
     if rings is not None:
-        _add_rings(builder, rings)
+        _add_rings(builder, rings, tuple(find_rings(scenario.sensors)))
     world = add_ring_world(
         builder,
         scenario=seen,
@@ -116,6 +116,7 @@ def make_hardware_station(
         position_measured=receiver.GetOutputPort("position_measured"),
         gripper_closed=receiver.GetOutputPort("gripper_closed"),
         products_placed=receiver.GetOutputPort("products_placed"),
+        with_sensors=rings is None,
     )
     slider = dc.replace(
         SliderConfig() if slider is None else slider,
@@ -162,14 +163,16 @@ def _add_robot(builder, robot, receiver):
     return subscriber, receiver, interface.connection
 
 
-def _add_rings(builder, rings):
+def _add_rings(builder, rings, name):
     """Adds the systems that read the rings, and exports the scans."""
     interface = builder.AddNamedSystem(
         "ring_interface", RingInterfaceSystem(connection=rings)
     )
     subscriber = builder.AddNamedSystem(
         "ring_subscriber",
-        RingSubscriberSystem(connection=interface.connection, wait_timeout=0.0),
+        RingSubscriberSystem(
+            connection=interface.connection, wait_timeout=0.0, name=name
+        ),
     )
     # The scans are on the Diagram's clock; one that is ahead of it must wait.
     builder.Connect(
@@ -178,9 +181,9 @@ def _add_rings(builder, rings):
         ).get_output_port(),
         subscriber.GetInputPort("clock_offset"),
     )
-    for name in RINGS:
+    for ring in name:
         builder.ExportOutput(
-            subscriber.GetOutputPort(f"scan_{name}"), f"scan_{name}"
+            subscriber.GetOutputPort(f"scan_{ring}"), f"scan_{ring}"
         )
 
 

@@ -5,9 +5,9 @@ arrives in the meantime. So a tick follows from what was handed in, live and
 in a replay.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
-from tofssm_drake.messages import RINGS, RingScan, RobotReport, SliderCommand
+from tofssm_drake.messages import RingScan, RobotReport, SliderCommand
 from tofssm_drake.ringlink.ring_link import (
     RingLinkStatus,
     calc_measured_time,
@@ -50,10 +50,16 @@ class HeldRobot:
 
 
 class HeldRings:
-    """A `RingConnection` that shows the scans it was given."""
+    """A `RingConnection` that shows the scans it was given.
 
-    def __init__(self):
-        self.scans: tuple[RingScan, ...] = tuple(RingScan() for _ in RINGS)
+    Args:
+        name: The rings, in the order of the scans.
+    """
+
+    def __init__(self, name: Sequence[str]):
+        self.name = tuple(name)
+        """The rings."""
+        self.scans: tuple[RingScan, ...] = tuple(RingScan() for _ in name)
         """The scans shown, on the Diagram's clock."""
 
     def take(self, scans: tuple[RingScan, ...], *, clock_offset: float) -> None:
@@ -82,7 +88,7 @@ class HeldRings:
             counts={},
             measured={
                 ring: calc_measured_time(scan)
-                for ring, scan in zip(RINGS, self.scans, strict=True)
+                for ring, scan in zip(self.name, self.scans, strict=True)
             },
         )
 

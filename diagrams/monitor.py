@@ -83,7 +83,7 @@ def make_monitor(
         UserError: If a sensor cannot be mounted as the scenario says.
     """
     builder = DiagramBuilder()
-    monitor = _model_cell(builder, scenario, person_radii)
+    monitor = make_twin(builder, scenario, person_radii)
     sensing = add_sensors_to_monitor(monitor, scenario.sensors)
     _add_law(builder, scenario, fuse(monitor, sensing), monitor)
     for part in sensing:
@@ -94,11 +94,20 @@ def make_monitor(
     return diagram
 
 
-def _model_cell(builder, scenario, person_radii=None) -> Monitor:
-    """Returns the monitor's model of the cell, the twin.
+def make_twin(
+    builder: DiagramBuilder,
+    scenario: Scenario,
+    person_radii: Sequence[float] | None = None,
+) -> Monitor:
+    """Makes the monitor's model of the cell, the twin.
 
     Its SceneGraph only provides the shapes, once: it is not in the Diagram, and
     poses are computed by TwinPoses.
+
+    Args:
+        builder: Of the monitor, to which sensors will be added.
+        scenario: Checked settings.
+        person_radii: See `make_monitor`.
     """
     scene_graph = SceneGraph()
     plant = make_cell_plant(
@@ -173,7 +182,7 @@ def tell_self_hit_coverage(scenario: Scenario) -> list[str]:
     rings = find_rings(scenario.sensors)
     if not rings or not scenario.self_hits.enabled:
         return []
-    monitor = _model_cell(DiagramBuilder(), scenario)
+    monitor = make_twin(DiagramBuilder(), scenario)
     path = make_program_path(scenario.program, monitor.kinematics)
     return [
         line

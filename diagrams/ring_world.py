@@ -65,6 +65,7 @@ def add_ring_world(
     position_measured: OutputPort,
     gripper_closed: OutputPort,
     products_placed: OutputPort,
+    with_sensors: bool = True,
 ) -> RingWorld:
     """Poses the scene from a robot's report and adds the sensors.
 
@@ -78,6 +79,7 @@ def add_ring_world(
         position_measured: The robot's joints, rad.
         gripper_closed: More than 0.5 is closed.
         products_placed: Their number.
+        with_sensors: Whether to simulate the sensors.
     """
     report = {
         "position_measured": position_measured,
@@ -92,16 +94,15 @@ def add_ring_world(
         skeleton = person.get_output_port()
     else:
         skeleton = avatar.GetOutputPort("skeleton")
-    add_sensors_to_world(
-        World(
+    if with_sensors:
+        world = World(
             builder=builder,
             scene_graph=scene_graph,
             plant=plant,
             caster=RayCaster(scene_graph.model_inspector()),
             random_seed=scenario.random_seed,
-        ),
-        scenario.sensors,
-    )
+        )
+        add_sensors_to_world(world, scenario.sensors)
     return RingWorld(
         plant=plant, scene_graph=scene_graph, avatar=avatar, skeleton=skeleton
     )

@@ -11,7 +11,7 @@ from pydrake.systems.analysis import Simulator
 
 from tofssm_drake.diagrams.ring_world import make_ring_world
 from tofssm_drake.diagrams.scenario import Scenario
-from tofssm_drake.messages import RINGS
+from tofssm_drake.diagrams.sensors.rings import find_rings
 from tofssm_drake.ringlink.ring_device import DeviceClock, make_frame
 from tofssm_drake.ringlink.ring_fault_injection import FaultInjector, RingFault
 from tofssm_drake.ringlink.ring_frame import RingFrame
@@ -60,14 +60,16 @@ def iterate_wake_times(scenario: Scenario) -> Iterator[float]:
     Args:
         scenario: Checked settings.
     """
-    period = scenario.rings.period
-    firsts = [phase or period for phase in set(scenario.ring_phases)]
+    times = {
+        (ring.phase or ring.sensor.period, ring.sensor.period, latency)
+        for ring in find_rings(scenario.sensors).values()
+        for latency in (0.0, ring.sensor.latency)
+    }
     return heapq.merge(
-        *(_iterate_times(first, period) for first in firsts),
         *(
-            _iterate_times(first + scenario.rings.latency, period)
-            for first in firsts
-        ),
+            _iterate_times(first + latency, period)
+            for first, period, latency in sorted(times)
+        )
     )
 
 
@@ -76,7 +78,7 @@ def _iterate_times(first, period):
 
 
 class SimulatedRings:
-    """Three rings that look at a robot posed from its reports.
+    """Rings that look at a robot posed from its reports.
 
     Attributes:
         sent: Number of frames sent of each ring.
@@ -86,7 +88,7 @@ class SimulatedRings:
         self,
         *,
         scenario: Scenario,
-        ring_numbers: Sequence[int] = (0, 1, 2),
+        ring_numbers: Sequence[int] = (),
         gripper_output: int = 0,
         clocks: Sequence[DeviceClock] | None = None,
         faults: Sequence[RingFault] = (),
@@ -96,20 +98,20 @@ class SimulatedRings:
 
         Args:
             scenario: Checked settings; uses rings, person, task and seed.
-            ring_numbers: Numbers of the rings in the frames.
+            ring_numbers: Numbers of the rings in the frames; none: 0, 1, 2, ...
             gripper_output: Bit of the robot's outputs that closes the gripper.
             clocks: Of the rings' devices; None: they show the world's time.
             faults: Faults to inject; their times are the world's.
             send: Called with each frame and whether to damage it on the way;
                 returns whether it left.
         """
-        self._timing_budget = scenario.rings.sensor.timing_budget
-        self._period = scenario.rings.period
-        self._ring_numbers = ring_numbers
+        self._rings = find_rings(scenario.sensors)
+        self._ring_numbers = ring_numbers or range(len(self._rings))
         self._gripper_output = gripper_output
-        self._clocks = clocks or [DeviceClock()] * len(RINGS)
+        self._clocks = clocks or [DeviceClock()] * len(self._rings)
         self._injectors = [
-            FaultInjector(f for f in faults if f.ring == ring) for ring in RINGS
+            FaultInjector(f for f in faults if f.ring == ring)
+            for ring in self._rings
         ]
         self._send = send
         self._diagram = make_ring_world(scenario)
@@ -120,8 +122,8 @@ class SimulatedRings:
         self._compile(context.Clone())
         self._simulator = Simulator(self._diagram, context)
         self._context = self._simulator.get_mutable_context()
-        self._sequence = [-1] * len(RINGS)
-        self.sent = dict.fromkeys(RINGS, 0)
+        self._sequence = [-1] * len(self._rings)
+        self.sent = dict.fromkeys(self._rings, 0)
 
     def _compile(self, context):
         """Runs two periods so that kernels are compiled."""
@@ -131,7 +133,9 @@ class SimulatedRings:
             ("products_placed", 1),
         ):
             self._diagram.GetInputPort(name).FixValue(context, np.zeros(size))
-        Simulator(self._diagram, context).AdvanceTo(2.0 * self._period)
+        Simulator(self._diagram, context).AdvanceTo(
+            2.0 * max(ring.sensor.period for ring in self._rings.values())
+        )
 
     def advance(self, time: float, report: Report, now: float) -> None:
         """Advances the world, and sends the frames that the rings deliver.
@@ -149,7 +153,7 @@ class SimulatedRings:
         ):
             self._diagram.GetInputPort(name).FixValue(self._context, value)
         self._simulator.AdvanceTo(time)
-        for i, ring in enumerate(RINGS):
+        for i, (ring, config) in enumerate(self._rings.items()):
             scan = self._diagram.GetOutputPort(f"scan_{ring}").Eval(
                 self._context
             )
@@ -159,8 +163,8 @@ class SimulatedRings:
             frame = make_frame(
                 scan,
                 ring=self._ring_numbers[i],
-                timing_budget=self._timing_budget,
-                period=self._period,
+                timing_budget=config.sensor.timing_budget,
+                period=config.sensor.period,
                 clock=self._clocks[i],
             )
             self._injectors[i].put(frame, scan.time)
@@ -168,7 +172,7 @@ class SimulatedRings:
 
     def _deliver(self, time):
         """Sends the frames that are due."""
-        for ring, injector in zip(RINGS, self._injectors, strict=True):
+        for ring, injector in zip(self._rings, self._injectors, strict=True):
             for delivery in injector.take(time):
                 if self._send(delivery.frame, delivery.is_damaged):
                     self.sent[ring] += 1

@@ -29,16 +29,13 @@ from tofssm_drake.diagrams.run_metadata import get_versions
 from tofssm_drake.diagrams.scenario import (
     Scenario,
     dump_scenario,
+    find_lidars,
     load_scenario,
     make_law,
 )
 from tofssm_drake.errors import require
 from tofssm_drake.laws.config import CONFIGURATIONS
-from tofssm_drake.paper.campaign_report import write_campaign_report
-from tofssm_drake.people.bvh import BvhRecording, make_bvh_motion
-from tofssm_drake.scripts.cluster import call_all, connect
-import tofssm_drake.scripts.options as options
-from tofssm_drake.studies.campaign import (
+from tofssm_drake.paper.campaign import (
     SENSINGS,
     VARIANTS,
     Plan,
@@ -53,6 +50,10 @@ from tofssm_drake.studies.campaign import (
     store_run,
     write_results,
 )
+from tofssm_drake.paper.campaign_report import write_campaign_report
+from tofssm_drake.people.bvh import BvhRecording, make_bvh_motion
+from tofssm_drake.scripts.cluster import call_all, connect
+import tofssm_drake.scripts.options as options
 
 
 def experiments(
@@ -293,9 +294,8 @@ def require_free(scenario: Scenario) -> None:
     human = copy.deepcopy(default.human)
     human.figure_eight = getattr(scenario.human, "figure_eight", None)
     for name, same in {
-        "sensing": scenario.sensing == default.sensing,
-        "sensors_per_ring": scenario.sensors_per_ring
-        == default.sensors_per_ring,
+        "sensors": [(n, type(s)) for n, s in scenario.sensors.items()]
+        == [(n, type(s)) for n, s in default.sensors.items()],
         "random_seed": scenario.random_seed == default.random_seed,
         "ssm.configuration": scenario.ssm.configuration
         == default.ssm.configuration,
@@ -403,12 +403,16 @@ def list_parameters(
     Returns:
         Rows (name, value by sensing).
     """
-    laws = {
-        cell.sensing: make_law(
-            make_run_scenario(scenario, PlannedRun(cell=cell))
-        )
+    scenarios = {
+        cell.sensing: make_run_scenario(scenario, PlannedRun(cell=cell))
         for cell in plan.cells
         if not cell.variant
+    }
+    laws = {sensing: make_law(s) for sensing, s in scenarios.items()}
+    radii = {
+        sensing: lidar.separation.workspace_radius
+        for sensing, s in scenarios.items()
+        for lidar in find_lidars(s).values()
     }
 
     def row(name, text):
@@ -426,12 +430,7 @@ def list_parameters(
         row("k_max of Vo, of Vr", lambda c: f"{c.k_omax}, {c.k_lmax} m/s"),
         (
             "r_o (in C_dC, d_C and d_R as the lidar's rule has it)",
-            {
-                s: f"{scenario.lidar_separation.workspace_radius} m"
-                if s == "lidar"
-                else "\u2013"
-                for s in laws
-            },
+            {s: f"{radii[s]} m" if s in radii else "\u2013" for s in laws},
         ),
         row("C_dC", lambda c: f"{c.C_dC} m"),
         row("B_min", lambda c: f"{c.B_min} m"),

@@ -10,6 +10,7 @@ import typer
 
 from tofssm_drake.diagrams.hardware_run import require_control_period
 from tofssm_drake.diagrams.scenario import NoHuman, load_scenario
+from tofssm_drake.diagrams.sensors.rings import find_rings
 from tofssm_drake.errors import require
 from tofssm_drake.ringlink.ring_address import (
     parse_ring_address,
@@ -47,7 +48,6 @@ def hardware(
     scenario_name: options.ScenarioName = "Default",
     scenario_text: options.ScenarioText = "",
     ssm: options.Ssm = None,
-    sensors_per_ring: options.SensorsPerRing = None,
     human_motion: Annotated[
         Path | None,
         typer.Option(
@@ -157,13 +157,13 @@ def hardware(
     override(
         scenario,
         ssm=ssm,
-        sensors_per_ring=sensors_per_ring,
         human_motion=human_motion,
         seed=seed,
     )
     require(
-        scenario.sensing == "tof",
-        f"sensing: {scenario.sensing!r} is for simulations, must be 'tof'",
+        len(find_rings(scenario.sensors)) == len(scenario.sensors),
+        "sensors: only rings are known to the ring link; others are for "
+        "simulations",
     )
     if not is_virtual:
         scenario.human = NoHuman()

@@ -21,7 +21,11 @@ from tofssm_drake.diagrams.hardware_run import (
 )
 from tofssm_drake.diagrams.monitor import tell_self_hit_coverage
 from tofssm_drake.diagrams.ring_decoder import make_ring_decoder
-from tofssm_drake.diagrams.scenario import Scenario, dump_scenario
+from tofssm_drake.diagrams.scenario import (
+    Scenario,
+    dump_scenario,
+    find_links,
+)
 from tofssm_drake.diagrams.simulation import Progress
 from tofssm_drake.errors import UserError
 from tofssm_drake.recording.run_record import RunRecorder
@@ -125,7 +129,11 @@ def run_session(settings: SessionSettings) -> int:
             stack.enter_context(_made_folder(settings.out))
         recorder = None
         if settings.record is not None:
-            recorder = stack.enter_context(RunRecorder(settings.record))
+            recorder = stack.enter_context(
+                RunRecorder(
+                    settings.record, links=find_links(settings.scenario)
+                )
+            )
         link = _open_rings(stack, settings, recorder)
         robot = _open_robot(stack, settings, recorder)
         waiting = {

@@ -38,7 +38,6 @@ Ssm = Annotated[
     str | None,
     typer.Option(help="Safety law: vo, vr or sm.", metavar="vo|vr|sm"),
 ]
-SensorsPerRing = Annotated[int | None, typer.Option(help="8 or 16.")]
 HumanMotion = Annotated[
     Path | None,
     typer.Option(

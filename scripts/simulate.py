@@ -22,7 +22,6 @@ import typer
 
 from tofssm_drake.diagrams.monitor import tell_self_hit_coverage
 from tofssm_drake.diagrams.scenario import (
-    SENSINGS,
     Scenario,
     dump_scenario,
     load_scenario,
@@ -60,14 +59,6 @@ def simulate(
     scenario_name: options.ScenarioName = "Default",
     scenario_text: options.ScenarioText = "",
     ssm: options.Ssm = None,
-    sensing: Annotated[
-        str | None,
-        typer.Option(
-            help="Rings on the arm, the true person, or a lidar at the base.",
-            metavar="tof|ideal|lidar",
-        ),
-    ] = None,
-    sensors_per_ring: options.SensorsPerRing = None,
     human_motion: options.HumanMotion = None,
     seed: options.Seed = None,
     duration: Annotated[
@@ -105,17 +96,13 @@ def simulate(
     override(
         scenario,
         ssm=ssm,
-        sensing=sensing,
-        sensors_per_ring=sensors_per_ring,
         human_motion=human_motion,
         seed=seed,
         duration=duration,
     )
     require_drawable(graphviz)
     display = make_display() if meshcat or recording else None
-    option = {"sensors_per_ring": "--sensors-per-ring"}
-    with options.blame(option if sensors_per_ring is not None else {}):
-        workcell = make_workcell(scenario, meshcat=display)
+    workcell = make_workcell(scenario, meshcat=display)
     coverage = tell_self_hit_coverage(scenario)
     # All that a user can get wrong is checked by now; nothing is written
     # before.
@@ -137,8 +124,6 @@ def simulate(
     changes = {
         "scenario-text": scenario_text or None,
         "ssm": ssm and ssm.lower(),
-        "sensing": sensing and sensing.lower(),
-        "sensors-per-ring": sensors_per_ring,
         "human-motion": human_motion,
         "seed": seed,
         "duration": None if duration is None else f"{duration:g} s",
@@ -198,8 +183,6 @@ def override(
     scenario: Scenario,
     *,
     ssm: str | None = None,
-    sensing: str | None = None,
-    sensors_per_ring: int | None = None,
     human_motion: Path | None = None,
     seed: int | None = None,
     duration: float | None = None,
@@ -209,8 +192,6 @@ def override(
     Args:
         scenario: Changed in place; checked afterwards.
         ssm: Configuration of the safety law.
-        sensing: How the monitor watches the person.
-        sensors_per_ring: Which rings.
         human_motion: BVH file; other settings of a recording are kept.
         seed: Random seed.
         duration: Longest simulated time, s.
@@ -220,12 +201,7 @@ def override(
     """
     if ssm is not None:
         scenario.ssm.configuration = _choose("--ssm", ssm, CONFIGURATIONS)
-    if sensing is not None:
-        scenario.sensing = _choose("--sensing", sensing, SENSINGS)
     changed = {}
-    if sensors_per_ring is not None:
-        scenario.sensors_per_ring = sensors_per_ring
-        changed["sensors_per_ring"] = "--sensors-per-ring"
     if human_motion is not None:
         if not isinstance(scenario.human, BvhRecording):
             scenario.human = BvhRecording()

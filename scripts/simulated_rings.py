@@ -8,12 +8,12 @@ from rich.console import Console
 import typer
 
 from tofssm_drake.diagrams.scenario import load_scenario
+from tofssm_drake.diagrams.sensors.rings import find_rings
 from tofssm_drake.diagrams.simulated_rings import (
     SimulatedRings,
     iterate_wake_times,
 )
 from tofssm_drake.errors import require
-from tofssm_drake.messages import RINGS
 from tofssm_drake.ringlink.ring_address import UdpAddress, parse_ring_address
 from tofssm_drake.ringlink.ring_device import (
     DeviceClock,
@@ -56,7 +56,6 @@ def simulated_rings(
     scenario_file: options.ScenarioFile = None,
     scenario_name: options.ScenarioName = "Default",
     scenario_text: options.ScenarioText = "",
-    sensors_per_ring: options.SensorsPerRing = None,
     human_motion: options.HumanMotion = None,
     seed: options.Seed = None,
     drift: Annotated[
@@ -101,16 +100,13 @@ def simulated_rings(
     scenario = load_scenario(
         filename=scenario_file, name=scenario_name, text=scenario_text
     )
-    override(
-        scenario,
-        sensors_per_ring=sensors_per_ring,
-        human_motion=human_motion,
-        seed=seed,
-    )
-    faults = [
-        parse_ring_fault(text, sensors=scenario.sensors_per_ring)
-        for text in fault or []
-    ]
+    override(scenario, human_motion=human_motion, seed=seed)
+    counts = {
+        name: ring.num_sensors
+        for name, ring in find_rings(scenario.sensors).items()
+    }
+    require(bool(counts), "sensors: there is no ring to simulate")
+    faults = [parse_ring_fault(text, counts) for text in fault or []]
     config = options.make_robot_config(
         robot_host, robot_port, robot_text, write=False
     )
@@ -122,15 +118,18 @@ def simulated_rings(
                     scenario=scenario,
                     clocks=[
                         DeviceClock(start=100.0 * i, drift=1e-6 * drift)
-                        for i in range(len(RINGS))
+                        for i in range(len(counts))
                     ],
                     faults=faults,
                     send=sender.send,
                 )
             with RtdeClient(config) as robot:
                 print(
-                    f"simulated rings, {scenario.sensors_per_ring} sensors "
-                    f"each, frames to {sender.target}",
+                    "simulated rings, "
+                    + ", ".join(
+                        f"{k} of {n} sensors" for k, n in counts.items()
+                    )
+                    + f", frames to {sender.target}",
                     flush=True,
                 )
                 _Run(rings, robot, stopped, duration).run(

@@ -2,6 +2,7 @@ import copy
 import unittest
 
 import numpy as np
+from paper_cell import RINGS
 
 import tofssm_drake.messages as mut
 
@@ -27,8 +28,8 @@ class TestMessages(unittest.TestCase):
             dut.sequence = 3
 
     def test_nothing_is_trusted_before_the_first_sample(self):
-        separation = mut.make_empty_separation()
+        separation = mut.make_empty_separation(RINGS)
         self.assertTrue((separation.health == mut.RingHealth.FAULTED).all())
-        index = mut.make_empty_safety_index()
+        index = mut.make_empty_safety_index(RINGS)
         self.assertTrue((index.health == mut.RingHealth.FAULTED).all())
         self.assertTrue((index.dsi >= index.dsi_C).all())

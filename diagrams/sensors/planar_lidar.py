@@ -85,7 +85,7 @@ def add_lidar_to_world(world: World, name: str, lidar: PlanarLidar) -> None:
         Lidar2d(
             config=lidar.sensor,
             caster=world.caster,
-            bundle=_make_bundle(
+            bundle=make_bundle(
                 name,
                 lidar,
                 world.caster,
@@ -122,7 +122,7 @@ def add_lidar_to_monitor(
     """
     inspector = monitor.scene_graph.model_inspector()
     caster = RayCaster(inspector)
-    bundle = _make_bundle(name, lidar, caster, monitor.plant, inspector)
+    bundle = make_bundle(name, lidar, caster, monitor.plant, inspector)
     twin = TwinPoses.from_plant(
         monitor.plant,
         layout=monitor.layout,
@@ -158,8 +158,25 @@ def add_lidar_to_monitor(
     )
 
 
-def _make_bundle(name, lidar, caster, plant, inspector) -> RayBundles:
-    """Makes the rays of a lidar that is fixed in the cell."""
+def make_bundle(
+    name: str,
+    lidar: PlanarLidar,
+    caster: RayCaster,
+    plant: MultibodyPlant,
+    inspector: SceneGraphInspector,
+) -> RayBundles:
+    """Makes the rays of a lidar that is fixed in the cell.
+
+    Args:
+        name: Of the lidar.
+        lidar: Checked settings.
+        caster: What the rays are cast against.
+        plant: Of the cell, registered with the inspector's SceneGraph.
+        inspector: Knows the shapes.
+
+    Raises:
+        UserError: The lidar moves, or its housing is not in the cell.
+    """
     frame = plant.GetFrameByName(f"{name}_scanner")
     require(
         plant.IsAnchored(frame.body()),

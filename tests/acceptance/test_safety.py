@@ -4,10 +4,11 @@ import itertools
 
 from bvh_writer import write_bvh
 import numpy as np
+from paper_cell import RINGS
 import pytest
 
 from tofssm_drake.diagrams.scenario import load_scenario
-from tofssm_drake.messages import RINGS, RingHealth, RobotState
+from tofssm_drake.messages import RingHealth, RobotState
 
 TICK = 0.008
 

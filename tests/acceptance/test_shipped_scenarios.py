@@ -1,10 +1,10 @@
 """Every shipped scenario runs, and does what its comment says."""
 
 import numpy as np
+from paper_cell import RINGS
 import pytest
 
 from tofssm_drake.diagrams.scenario import list_scenarios
-from tofssm_drake.messages import RINGS
 
 
 @pytest.mark.parametrize("name", list_scenarios())

@@ -8,9 +8,9 @@ import dataclasses as dc
 
 from lockstep import Cell
 import numpy as np
+from paper_cell import RINGS
 import pytest
 
-from tofssm_drake.messages import RINGS
 from tofssm_drake.ringlink.ring_frame import SEQUENCE_BITS, TIME_BITS
 from tofssm_drake.sensors.vl53l1x import STATUS_NO_NEW_DATA
 

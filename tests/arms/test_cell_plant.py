@@ -1,6 +1,7 @@
 import unittest
 
 import numpy as np
+from paper_cell import make_plant, make_twin_plant
 from pydrake.geometry import Role, SceneGraph
 from pydrake.multibody.tree import ModelInstanceIndex
 from pydrake.systems.framework import DiagramBuilder
@@ -9,12 +10,13 @@ from pydrake.systems.rendering import MultibodyPositionToGeometryPose
 import tofssm_drake.arms.cell_plant as mut
 from tofssm_drake.arms.kinematics import RingKinematics
 from tofssm_drake.errors import UserError
+from tofssm_drake.sensors.ring import Ring
 from tofssm_drake.tasks.program import ProgramConfig, make_program_path
 
 
 class TestCellPlant(unittest.TestCase):
     def test_positions(self):
-        plant = mut.make_twin_plant(scene_graph=SceneGraph())
+        plant = make_twin_plant(SceneGraph())
         self.assertEqual(plant.num_positions(), 6 + 70)
         names = plant.GetPositionNames()
         self.assertTrue(names[0].startswith("ur10_shoulder_pan"))
@@ -24,8 +26,8 @@ class TestCellPlant(unittest.TestCase):
     def test_body_order_does_not_depend_on_products(self):
         """Body poses of the plant that moves and of the one that is seen may
         be mixed up: their bodies must agree."""
-        plain = mut.make_cell_plant()
-        seen = mut.make_twin_plant(scene_graph=SceneGraph())
+        plain = make_plant()
+        seen = make_twin_plant(SceneGraph())
         for instance in range(plain.num_model_instances()):
             index = ModelInstanceIndex(instance)
             for body in plain.GetBodyIndices(index):
@@ -35,7 +37,7 @@ class TestCellPlant(unittest.TestCase):
                 )
 
     def test_without_cell(self):
-        plant = mut.make_cell_plant(sensors_per_ring=0, cell=False)
+        plant = mut.make_cell_plant(cell=False)
         context = plant.CreateDefaultContext()
         X_WB = plant.GetFrameByName("base").CalcPoseInWorld(context)
         np.testing.assert_allclose(X_WB.translation(), [0, 0, 0.72])
@@ -44,7 +46,7 @@ class TestCellPlant(unittest.TestCase):
     def test_ring_looks(self):
         """Checks that rings are there to look at and are not seen."""
         scene_graph = SceneGraph()
-        mut.make_cell_plant(scene_graph=scene_graph)
+        make_plant(scene_graph=scene_graph)
         inspector = scene_graph.model_inspector()
         for role, count in (
             (Role.kIllustration, 3 + 24),
@@ -57,9 +59,12 @@ class TestCellPlant(unittest.TestCase):
             ]
             self.assertEqual(sum("_ring_" in name for name in names), count)
 
-    def test_unknown_ring_model(self):
-        with self.assertRaisesRegex(UserError, "sensors_per_ring.* 8, 16"):
-            mut.make_cell_plant(sensors_per_ring=12)
+    def test_ring_without_a_frame_to_carry_it(self):
+        ring = Ring(parent="ur10::upper_arm")
+        with self.assertRaisesRegex(
+            UserError, r"sensors.a.parent: .* no frame 'ur10::upper_arm'"
+        ):
+            mut.make_cell_plant(sensors={"a": ring})
 
 
 class TestPathIsClear(unittest.TestCase):
@@ -68,7 +73,7 @@ class TestPathIsClear(unittest.TestCase):
         its gripper with the cell and with itself."""
         builder = DiagramBuilder()
         scene_graph = builder.AddSystem(SceneGraph())
-        plant = mut.make_cell_plant(scene_graph=scene_graph)
+        plant = make_plant(scene_graph=scene_graph)
         poses = builder.AddSystem(MultibodyPositionToGeometryPose(plant))
         builder.Connect(
             poses.get_output_port(),

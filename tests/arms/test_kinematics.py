@@ -1,29 +1,17 @@
 import unittest
 
 import numpy as np
-from pydrake.multibody.plant import MultibodyPlant
+from paper_cell import RINGS, find_kinematics, make_plant
 
+from tofssm_drake.arms.cell_plant import make_cell_plant
 import tofssm_drake.arms.kinematics as mut
 from tofssm_drake.errors import UserError
-from tofssm_drake.messages import RINGS
-import tofssm_drake.models as models
-
-
-def make_plant(rings=True):
-    plant = MultibodyPlant(0.0)
-    parser = models.make_parser(plant)
-    url = f"package://{models.PACKAGE}/"
-    parser.AddModelsFromUrl(url + "workcell/workcell.dmd.yaml")
-    if rings:
-        parser.AddModelsFromUrl(url + "rings/rings_8.dmd.yaml")
-    plant.Finalize()
-    return plant
 
 
 class TestRingKinematics(unittest.TestCase):
     def setUp(self):
         self.plant = make_plant()
-        self.dut = mut.RingKinematics.from_plant(self.plant)
+        self.dut = find_kinematics(self.plant)
 
     def test_against_plant(self):
         plant = self.plant
@@ -65,17 +53,15 @@ class TestRingKinematics(unittest.TestCase):
         np.testing.assert_array_equal(self.dut.site_link, [2, 3, 6, 6])
 
     def test_without_rings(self):
-        dut = mut.RingKinematics.from_plant(make_plant(rings=False), rings=())
+        dut = mut.RingKinematics.from_plant(make_cell_plant())
         self.assertEqual(dut.calc(np.zeros(6), np.zeros(6))[0].shape, (0, 3))
 
     def test_what_is_missing_is_named(self):
-        plant = make_plant(rings=False)
+        plant = make_cell_plant()
         with self.assertRaisesRegex(UserError, "base_ring"):
-            mut.RingKinematics.from_plant(plant)
+            find_kinematics(plant)
         with self.assertRaisesRegex(UserError, "knee_joint"):
-            mut.RingKinematics.from_plant(
-                plant, rings=(), joints=("knee_joint",)
-            )
+            mut.RingKinematics.from_plant(plant, joints=("knee_joint",))
 
 
 class TestToolDown(unittest.TestCase):

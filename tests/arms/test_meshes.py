@@ -1,6 +1,7 @@
 import unittest
 
 import numpy as np
+from paper_cell import make_plant
 from pydrake.geometry import Capsule, Mesh, Role, SceneGraph, Sphere
 
 from tofssm_drake.arms.cell_plant import make_cell_plant
@@ -22,9 +23,7 @@ class TestMeshes(unittest.TestCase):
     @classmethod
     def setUpClass(cls):
         cls.scene_graph = SceneGraph()
-        cls.plant = make_cell_plant(
-            scene_graph=cls.scene_graph, cell=False, sensors_per_ring=0
-        )
+        cls.plant = make_cell_plant(scene_graph=cls.scene_graph, cell=False)
         cls.meshes = mut.read_collision_meshes(cls.plant)
 
     def test_capsules_cover_the_meshes(self):
@@ -64,7 +63,7 @@ class TestMeshes(unittest.TestCase):
 
     def test_tubes_carry_the_rings(self):
         """Checks that the rings are centred on the real tubes."""
-        plant = make_cell_plant(cell=False)
+        plant = make_plant(cell=False)
         context = plant.CreateDefaultContext()
         for ring, link in (
             ("base", "upper_arm_link"),
@@ -83,7 +82,7 @@ class TestMeshes(unittest.TestCase):
 
     def test_replace(self):
         scene_graph = SceneGraph()
-        plant = make_cell_plant(scene_graph=scene_graph)
+        plant = make_plant(scene_graph=scene_graph)
         inspector = scene_graph.model_inspector()
         before = len(inspector.GetAllGeometryIds(Role.kProximity))
         mut.replace_robot_shapes(plant, scene_graph)
@@ -124,9 +123,7 @@ class TestMeshes(unittest.TestCase):
 
     def test_only_what_is_asked_for(self):
         scene_graph = SceneGraph()
-        plant = make_cell_plant(
-            scene_graph=scene_graph, cell=False, sensors_per_ring=0
-        )
+        plant = make_cell_plant(scene_graph=scene_graph, cell=False)
         inspector = scene_graph.model_inspector()
         before = inspector.GetAllGeometryIds(Role.kPerception)
         mut.replace_robot_shapes(plant, scene_graph, perception=False)

@@ -1,9 +1,10 @@
 """The monitor alone, in front of rings that a test plays."""
 
 import numpy as np
+from paper_cell import RINGS
 from pydrake.systems.analysis import Simulator
 
-from tofssm_drake.messages import RINGS, RingScan
+from tofssm_drake.messages import RingScan
 
 TICK = 0.008
 PERIOD = 0.024

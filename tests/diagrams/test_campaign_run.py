@@ -16,7 +16,7 @@ from tofssm_drake.diagrams.scenario import (
     make_law,
 )
 from tofssm_drake.laws.config import CONFIGURATIONS
-from tofssm_drake.studies.campaign import (
+from tofssm_drake.paper.campaign import (
     SENSINGS,
     VARIANTS,
     Cell,

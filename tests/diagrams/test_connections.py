@@ -3,6 +3,7 @@
 import unittest
 
 import numpy as np
+from paper_cell import RINGS
 from pydrake.geometry import Meshcat
 from pydrake.systems.framework import Diagram
 
@@ -10,7 +11,6 @@ from tofssm_drake.diagrams.monitor import make_monitor
 from tofssm_drake.diagrams.scenario import load_scenario
 from tofssm_drake.diagrams.station import make_station
 from tofssm_drake.diagrams.workcell import make_workcell
-from tofssm_drake.messages import RINGS
 
 # What real hardware could give a monitor, and nothing else.
 _REPORT = {

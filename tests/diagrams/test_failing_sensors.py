@@ -4,13 +4,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from monitor_rig import PERIOD, SIGNAL_FAIL, TICK, VALID, Rig
 import numpy as np
+from paper_cell import RINGS
 import pytest
 
 from tofssm_drake.arms.kinematics import RingKinematics
 from tofssm_drake.diagrams.monitor import make_monitor
 from tofssm_drake.diagrams.scenario import load_scenario
 from tofssm_drake.diagrams.station import make_station
-from tofssm_drake.messages import RINGS, Reading, RobotState
+from tofssm_drake.messages import Reading, RobotState
 from tofssm_drake.tasks.program import make_program_path
 
 # The rings of these tests do not see the robot where they must.

@@ -7,6 +7,7 @@ import unittest
 from unittest import mock
 
 import numpy as np
+from paper_cell import RINGS
 
 from tofssm_drake.arms.kinematics import RingKinematics
 from tofssm_drake.diagrams.hardware_loop import (
@@ -17,7 +18,6 @@ from tofssm_drake.diagrams.hardware_loop import (
 from tofssm_drake.diagrams.hardware_run import HardwareRun
 from tofssm_drake.diagrams.scenario import load_scenario
 from tofssm_drake.messages import (
-    RINGS,
     RingHealth,
     RingScan,
     RobotReport,
@@ -241,7 +241,7 @@ class Clockwork:
 class TestLinks(unittest.TestCase):
     def describe(self, phase=SliderPhase.FOLLOWING, now=1.05, **changes):
         separation = dc.replace(
-            make_empty_separation(),
+            make_empty_separation(RINGS),
             **{
                 "sequence": np.array([3, 3, 3]),
                 "time": np.array([1.0, 1.0, 1.0]),

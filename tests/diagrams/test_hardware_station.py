@@ -1,5 +1,7 @@
 import unittest
 
+from paper_cell import RINGS
+
 from tofssm_drake.diagrams.hardware_station import make_hardware_station
 from tofssm_drake.diagrams.held_connections import HeldRings, HeldRobot
 from tofssm_drake.diagrams.scenario import load_scenario
@@ -33,7 +35,7 @@ class TestHardwareStation(unittest.TestCase):
         nobody = load_scenario(text="{human: !NoHuman {}}")
         simulated = describe_ports(make_station(nobody).diagram)
         real = make_hardware_station(
-            scenario, robot=HeldRobot(), rings=HeldRings()
+            scenario, robot=HeldRobot(), rings=HeldRings(RINGS)
         )
         inputs, outputs = describe_ports(real.diagram)
         self.assertEqual(inputs[:-1], simulated[0])

@@ -1,12 +1,13 @@
 """The monitor alone, in front of rings that a test plays."""
 
 from monitor_rig import HARDWARE_FAIL, LATENCY, SIGNAL_FAIL, TICK, VALID, Rig
+from paper_cell import RINGS
 import pytest
 
 from tofssm_drake.diagrams.monitor import make_monitor
 from tofssm_drake.diagrams.scenario import load_scenario
 from tofssm_drake.diagrams.station import make_station
-from tofssm_drake.messages import RINGS, RobotState
+from tofssm_drake.messages import RobotState
 
 
 @pytest.fixture(scope="module")

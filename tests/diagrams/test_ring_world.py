@@ -1,5 +1,6 @@
 import unittest
 
+from paper_cell import RINGS
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import ConstantVectorSource
@@ -7,7 +8,6 @@ from pydrake.systems.primitives import ConstantVectorSource
 from tofssm_drake.diagrams.ring_world import make_ring_world
 from tofssm_drake.diagrams.scenario import load_scenario
 from tofssm_drake.diagrams.station import make_station
-from tofssm_drake.messages import RINGS
 
 
 class TestRingWorld(unittest.TestCase):

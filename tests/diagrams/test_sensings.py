@@ -3,6 +3,7 @@
 import functools
 
 import numpy as np
+from paper_cell import RINGS
 import pytest
 from test_connections import (
     find_connections,
@@ -21,7 +22,7 @@ from tofssm_drake.diagrams.scenario import (
 from tofssm_drake.diagrams.simulation import Run
 from tofssm_drake.diagrams.workcell import make_workcell
 from tofssm_drake.errors import UserError
-from tofssm_drake.messages import RINGS, RobotState
+from tofssm_drake.messages import RobotState
 from tofssm_drake.metrics.audit import calc_audit
 from tofssm_drake.metrics.metrics import calc_summary
 from tofssm_drake.metrics.run_metrics import calc_run_metrics

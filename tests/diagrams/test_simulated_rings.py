@@ -3,10 +3,10 @@ from types import SimpleNamespace
 import unittest
 
 import numpy as np
+from paper_cell import RINGS
 
 from tofssm_drake.diagrams.scenario import load_scenario
 import tofssm_drake.diagrams.simulated_rings as mut
-from tofssm_drake.messages import RINGS
 from tofssm_drake.ringlink.ring_device import DeviceClock
 from tofssm_drake.ringlink.ring_fault_injection import parse_ring_fault
 from tofssm_drake.ringlink.ring_frame import encode_frame

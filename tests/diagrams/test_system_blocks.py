@@ -6,6 +6,7 @@ import pkgutil
 import unittest
 
 import numpy as np
+from paper_cell import RINGS
 from pydrake.geometry import Meshcat
 from pydrake.systems.framework import Diagram, LeafSystem
 import yaml
@@ -123,6 +124,7 @@ class TestSystemBlocks(unittest.TestCase):
         lidar = Lidar2d(config=lidar_config, caster=caster, bundle=bundle)
         kinematics = RingKinematics.from_plant(station.plant)
         ideal_separation = IdealSeparation(
+            name=RINGS,
             config=IdealSeparationConfig(),
             kinematics=kinematics,
             radii=station.avatar.radii,
@@ -153,7 +155,7 @@ class TestSystemBlocks(unittest.TestCase):
             rtde_systems.SliderControl(),
             SensingProblem(deadline=0.1),
             interface,
-            RingSubscriberSystem(connection=interface.connection),
+            RingSubscriberSystem(name=RINGS, connection=interface.connection),
         ]
 
     def test_every_public_system(self):

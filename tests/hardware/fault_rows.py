@@ -15,9 +15,9 @@ import re
 from dh_arms import UR5E, calc_dh_pose
 from lockstep import CYCLE, Cell, Times, Visitor
 import numpy as np
+from paper_cell import RINGS
 from pydrake.math import RigidTransform, RotationMatrix
 
-from tofssm_drake.messages import RINGS
 from tofssm_drake.ringlink.ring_fault_injection import FAULTS
 from tofssm_drake.ringlink.ring_frame import (
     FLAG_RESTARTED,

@@ -30,13 +30,13 @@ from fault_rows import (
     make_cell,
     measure_row,
 )
+from paper_cell import RINGS
 
 from tofssm_drake.diagrams.scenario import load_scenario
 from tofssm_drake.diagrams.simulated_rings import (
     SimulatedRings,
     iterate_wake_times,
 )
-from tofssm_drake.messages import RINGS
 from tofssm_drake.ringlink.ring_address import parse_ring_address
 from tofssm_drake.ringlink.ring_device import UdpSender
 from tofssm_drake.ringlink.ring_fault_injection import (

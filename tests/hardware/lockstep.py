@@ -11,6 +11,7 @@ import math
 from unittest import mock
 
 import numpy as np
+from paper_cell import RINGS
 from robot_room import make_kinematics, make_robot
 
 from tofssm_drake.arms.cell_plant import make_cell_plant
@@ -24,12 +25,7 @@ from tofssm_drake.diagrams.simulated_rings import (
     iterate_wake_times,
 )
 from tofssm_drake.errors import UserError
-from tofssm_drake.messages import (
-    RINGS,
-    RobotReport,
-    RobotState,
-    SliderCommand,
-)
+from tofssm_drake.messages import RobotReport, RobotState, SliderCommand
 from tofssm_drake.ringlink.ring_fault_injection import (
     FaultInjector,
     RingFault,

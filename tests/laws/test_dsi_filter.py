@@ -4,6 +4,7 @@ import unittest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 import numpy as np
+from paper_cell import RINGS
 from pydrake.common.value import Value
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
@@ -14,7 +15,6 @@ from tofssm_drake.laws.distances import make_distance_constants
 import tofssm_drake.laws.dsi_filter as mut
 from tofssm_drake.laws.tri_ssm import TriSsmState, classify_index
 from tofssm_drake.messages import (
-    RINGS,
     RingHealth,
     RobotState,
     SafetyIndex,
@@ -145,7 +145,7 @@ class TestCalcSafetyIndex(unittest.TestCase):
         return index
 
     def test_nothing_yet(self):
-        index = self.calc(make_empty_separation())
+        index = self.calc(make_empty_separation(RINGS))
         self.assertTrue((index.health == RingHealth.FAULTED).all())
         self.assertTrue((index.dsi >= index.dsi_C).all())
         self.assertTrue(np.isnan(index.dsi_raw).all())
@@ -309,7 +309,7 @@ class TestCalcSafetyIndex(unittest.TestCase):
 
 class TestDsiFilter(unittest.TestCase):
     def setUp(self):
-        self.dut = mut.DsiFilter()
+        self.dut = mut.DsiFilter(name=RINGS)
         self.context = self.dut.CreateDefaultContext()
 
     def fix(self, separation=None, robot_state=None):
@@ -422,7 +422,7 @@ class TestDsiFilter(unittest.TestCase):
 
     def test_other_control_ticks(self):
         for period in (0.002, 0.016):
-            dut = mut.DsiFilter(period=period)
+            dut = mut.DsiFilter(name=RINGS, period=period)
             simulator = Simulator(dut)
             context = simulator.get_mutable_context()
             dut.GetInputPort("separation").FixValue(
@@ -469,12 +469,12 @@ class TestDsiFilter(unittest.TestCase):
 
     def test_bad_config(self):
         with self.assertRaises(UserError):
-            mut.DsiFilter(config=SsmConfig(alpha_I=2.0))
+            mut.DsiFilter(name=RINGS, config=SsmConfig(alpha_I=2.0))
 
     def test_tick_must_last(self):
         for period in (0.0, -0.008, np.nan, np.inf):
             with self.assertRaisesRegex(UserError, "period"):
-                mut.DsiFilter(period=period)
+                mut.DsiFilter(name=RINGS, period=period)
 
     def test_loop_with_the_state(self):
         """Checks hysteresis in the closed loop of filter and state.
@@ -485,7 +485,7 @@ class TestDsiFilter(unittest.TestCase):
         """
         builder = DiagramBuilder()
         dut = builder.AddSystem(self.dut)
-        tri_ssm = builder.AddSystem(TriSsmState())
+        tri_ssm = builder.AddSystem(TriSsmState(name=RINGS))
         builder.Connect(dut.GetOutputPort("dsi"), tri_ssm.GetInputPort("dsi"))
         builder.Connect(
             tri_ssm.GetOutputPort("robot_state"),

@@ -6,6 +6,7 @@ import unittest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 import numpy as np
+from paper_cell import RINGS
 from pydrake.common.value import Value
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
@@ -23,6 +24,7 @@ FAR, NEAR, CLOSE = 2.9, 1.1, 0.5
 def make_separation(*, tick, distance, health=RingHealth.HEALTHY, k=0.0):
     """Returns the output of three rings at a third of the tick rate."""
     return Separation(
+        name=RINGS,
         sequence=(tick - np.arange(3)) // 3,
         time=np.full(3, PERIOD * tick - 0.011),
         distance=np.array([np.inf, distance, np.inf]),
@@ -40,8 +42,8 @@ def make_separation(*, tick, distance, health=RingHealth.HEALTHY, k=0.0):
 def make_law(configuration):
     builder = DiagramBuilder()
     config = SsmConfig(configuration=configuration)
-    dsi_filter = builder.AddSystem(DsiFilter(config=config))
-    tri_ssm = builder.AddSystem(TriSsmState(config=config))
+    dsi_filter = builder.AddSystem(DsiFilter(name=RINGS, config=config))
+    tri_ssm = builder.AddSystem(TriSsmState(name=RINGS, config=config))
     trajectory = builder.AddSystem(SpeedFractionTrajectory(config=config))
     builder.Connect(
         dsi_filter.GetOutputPort("dsi"), tri_ssm.GetInputPort("dsi")
@@ -195,9 +197,9 @@ class TestLaw(unittest.TestCase):
 class TestPorts(unittest.TestCase):
     def test_names(self):
         for dut, inputs, outputs in (
-            (DsiFilter(), ["separation", "robot_state"], ["dsi"]),
+            (DsiFilter(name=RINGS), ["separation", "robot_state"], ["dsi"]),
             (
-                TriSsmState(),
+                TriSsmState(name=RINGS),
                 ["dsi"],
                 ["robot_state", "ring_states", "reason"],
             ),

@@ -2,6 +2,7 @@ import dataclasses as dc
 import unittest
 
 import numpy as np
+from paper_cell import RINGS
 
 from tofssm_drake.laws.config import SsmConfig
 from tofssm_drake.laws.sensing_problem import (
@@ -81,7 +82,7 @@ class TestSensingProblem(unittest.TestCase):
         dut = SensingProblem(deadline=0.1)
         context = dut.CreateDefaultContext()
         port = dut.get_output_port()
-        separation = make_empty_separation()
+        separation = make_empty_separation(RINGS)
         dut.get_input_port().FixValue(context, separation)
         self.assertEqual(port.Eval(context), "base has no sample yet")
         n = len(separation.name)

@@ -4,13 +4,13 @@ import unittest
 from hypothesis import given
 from hypothesis import strategies as st
 import numpy as np
+from paper_cell import RINGS
 from pydrake.common.value import Value
 
 from tofssm_drake.errors import UserError
 from tofssm_drake.laws.config import SsmConfig
 import tofssm_drake.laws.tri_ssm as mut
 from tofssm_drake.messages import (
-    RINGS,
     RingHealth,
     RobotState,
     SafetyIndex,
@@ -33,6 +33,7 @@ def make_index(
 ):
     measured = distance if measured is None else measured
     return SafetyIndex(
+        name=RINGS,
         sequence=np.array(sequence),
         time=np.array(time),
         d_C=np.full(3, d_C),
@@ -131,7 +132,7 @@ class TestStates(unittest.TestCase):
         index = make_index(sequence=(3, -1, 4))
         self.assertEqual(self.states(index), [2, 0, 2])
         self.assertEqual(self.reason(index), "stop: elbow has no sample yet")
-        self.assertEqual(self.states(make_empty_safety_index()), [0, 0, 0])
+        self.assertEqual(self.states(make_empty_safety_index(RINGS)), [0, 0, 0])
 
     def test_deadline(self):
         index = make_index(time=(1.0, 1.0, 0.95))
@@ -221,7 +222,7 @@ class TestStates(unittest.TestCase):
 
 class TestTriSsmState(unittest.TestCase):
     def setUp(self):
-        self.dut = mut.TriSsmState()
+        self.dut = mut.TriSsmState(name=RINGS)
         self.context = self.dut.CreateDefaultContext()
 
     def fix(self, index):
@@ -239,7 +240,7 @@ class TestTriSsmState(unittest.TestCase):
         )
 
     def test_starts_stopped(self):
-        self.fix(make_empty_safety_index())
+        self.fix(make_empty_safety_index(RINGS))
         self.assertEqual(self.eval("robot_state").tolist(), [0])
         self.assertEqual(self.eval("reason"), "stop: base has no sample yet")
 
@@ -254,7 +255,7 @@ class TestTriSsmState(unittest.TestCase):
 
     def test_config_is_copied_and_checked(self):
         config = SsmConfig(deadline=0.5)
-        dut = mut.TriSsmState(config=config)
+        dut = mut.TriSsmState(name=RINGS, config=config)
         config.deadline = 0.01
         context = dut.CreateDefaultContext()
         context.SetTime(0.4)
@@ -263,4 +264,4 @@ class TestTriSsmState(unittest.TestCase):
             dut.GetOutputPort("robot_state").Eval(context).tolist(), [2]
         )
         with self.assertRaises(UserError):
-            mut.TriSsmState(config=SsmConfig(deadline=0.0))
+            mut.TriSsmState(name=RINGS, config=SsmConfig(deadline=0.0))

@@ -1,13 +1,13 @@
 import unittest
 
 import numpy as np
+from paper_cell import RINGS, find_kinematics, make_plant
 from pydrake.geometry import Box, SceneGraph
 from pydrake.math import RigidTransform
 from pydrake.multibody.plant import CoulombFriction, MultibodyPlant
 from pydrake.systems.framework import DiagramBuilder
 
 from tofssm_drake.arms.cell_plant import make_cell_plant
-from tofssm_drake.messages import RINGS
 import tofssm_drake.metrics.ground_truth as mut
 from tofssm_drake.metrics.truth import TruthLayout
 from tofssm_drake.models import make_parser
@@ -23,7 +23,7 @@ class TestGroundTruth(unittest.TestCase):
     def setUpClass(cls):
         builder = DiagramBuilder()
         cls.scene_graph = builder.AddSystem(SceneGraph())
-        cls.plant = make_cell_plant(scene_graph=cls.scene_graph)
+        cls.plant = make_plant(scene_graph=cls.scene_graph)
         builder.AddSystem(cls.plant)
         builder.Connect(
             cls.plant.get_geometry_pose_output_port(),
@@ -40,7 +40,11 @@ class TestGroundTruth(unittest.TestCase):
 
     def _build(self, radii):
         self.model = mut.TruthModel(
-            plant=self.plant, inspector=self.inspector, radii=radii, pelvis=1
+            plant=self.plant,
+            inspector=self.inspector,
+            radii=radii,
+            kinematics=find_kinematics(self.plant),
+            pelvis=1,
         )
         self.dut = mut.GroundTruth(model=self.model)
         self.context = self.dut.CreateDefaultContext()

@@ -15,6 +15,14 @@ from synthetic_campaign import make_rows, make_small_plan, make_values
 from synthetic_run import make_rich_run
 
 from tofssm_drake.paper import campaign_figures
+from tofssm_drake.paper.campaign import (
+    VARIANTS,
+    Cell,
+    PlannedRun,
+    get_run_folder,
+    make_plan,
+    make_results,
+)
 import tofssm_drake.paper.campaign_report as mut
 from tofssm_drake.paper.claims import (
     NO_VALUE,
@@ -25,18 +33,10 @@ from tofssm_drake.paper.claims import (
     Claim,
     check_claims,
 )
+from tofssm_drake.paper.results import Results
 from tofssm_drake.recording.samples import write_samples
 from tofssm_drake.reports import figures
 from tofssm_drake.reports.page import Picture, write_symbols
-from tofssm_drake.studies.campaign import (
-    VARIANTS,
-    Cell,
-    PlannedRun,
-    get_run_folder,
-    make_plan,
-    make_results,
-)
-from tofssm_drake.studies.results import Results
 
 _VOID = ("meta", "img", "source", "br")
 

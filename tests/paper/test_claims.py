@@ -4,9 +4,9 @@ import unittest
 
 from synthetic_campaign import make_means, make_rows, make_small_plan
 
+from tofssm_drake.paper.campaign import make_results
 import tofssm_drake.paper.claims as mut
-from tofssm_drake.studies.campaign import make_results
-from tofssm_drake.studies.results import Results
+from tofssm_drake.paper.results import Results
 from tofssm_drake.studies.statistics import Estimate, format_estimate
 
 _SENSINGS = ("tof", "ideal", "lidar")

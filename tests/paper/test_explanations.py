@@ -2,9 +2,9 @@ import unittest
 
 from synthetic_campaign import make_rows, make_small_plan
 
+from tofssm_drake.paper.campaign import Cell, make_results
 import tofssm_drake.paper.explanations as mut
-from tofssm_drake.studies.campaign import Cell, make_results
-from tofssm_drake.studies.results import Results
+from tofssm_drake.paper.results import Results
 
 
 def make_results_of(values, *, variants=()):

@@ -3,12 +3,13 @@ import dataclasses as dc
 from hypothesis import given
 from hypothesis import strategies as st
 import numpy as np
+from paper_cell import RINGS
 from pydrake.common.yaml import yaml_load_typed
 from pydrake.systems.analysis import Simulator
 import pytest
 
 from tofssm_drake.errors import UserError
-from tofssm_drake.messages import RINGS, Reading, RingHealth
+from tofssm_drake.messages import Reading, RingHealth
 import tofssm_drake.perception.ideal_separation as mut
 
 ZEROS = np.zeros((1, 3))
@@ -161,6 +162,7 @@ class Kinematics:
 class Rig:
     def __init__(self, **settings):
         self.dut = mut.IdealSeparation(
+            name=RINGS,
             config=mut.IdealSeparationConfig(**settings),
             kinematics=Kinematics(),
             radii=[0.1],

@@ -4,6 +4,7 @@ import unittest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 import numpy as np
+from paper_cell import RINGS
 from pydrake.common.value import Value
 from pydrake.common.yaml import yaml_load_typed
 from pydrake.geometry import (
@@ -17,13 +18,7 @@ from pydrake.math import RigidTransform, RotationMatrix
 from pydrake.systems.analysis import Simulator
 
 from tofssm_drake.errors import UserError
-from tofssm_drake.messages import (
-    RINGS,
-    MaskedScan,
-    Reading,
-    RingScan,
-    SensorFault,
-)
+from tofssm_drake.messages import MaskedScan, Reading, RingScan, SensorFault
 import tofssm_drake.perception.occlusion_mask as mut
 from tofssm_drake.perception.readings import (
     calc_self_interval,
@@ -32,7 +27,7 @@ from tofssm_drake.perception.readings import (
 from tofssm_drake.raycast.fan import make_cone_fan
 from tofssm_drake.raycast.ray_caster import RayCaster
 from tofssm_drake.sensors.ring_mount import RingMount
-from tofssm_drake.sensors.tof_rings import TofRingConfig
+from tofssm_drake.sensors.vl53l1x import Vl53l1x
 
 CLEAR, VALID, MASKED, FAULTED, HELD = Reading
 RADIUS = 0.1
@@ -68,7 +63,7 @@ def make_cell(config, n=8, names=("base",)):
     ]
     mounting = dict(
         config=config,
-        ring_config=TofRingConfig(),
+        sensor=Vl53l1x(),
         caster=caster,
         mounts=[
             RingMount(
@@ -151,17 +146,17 @@ class TestConfig(unittest.TestCase):
                 mut.OcclusionMaskConfig(**{name: bad}).check("here")
 
     def test_rays_are_the_rings_and_a_circle_beyond(self):
-        ring_config = TofRingConfig()
+        sensor = Vl53l1x()
         for rays, margin, expected in ((0, 0.0, 25), (9, 0.0, 9), (0, 1, 41)):
             config = mut.OcclusionMaskConfig(
                 rays_per_sensor=rays, edge_margin_deg=margin
             )
-            fan_S = mut.make_mask_fan(config, ring_config)
+            fan_S = mut.make_mask_fan(config, sensor)
             self.assertEqual(len(fan_S), expected)
             angle = np.degrees(np.arccos(fan_S[:, 0]))
             self.assertAlmostEqual(angle.max(), 12.5 + margin)
             np.testing.assert_allclose(np.linalg.norm(fan_S, axis=1), 1.0)
-        same = mut.make_mask_fan(mut.OcclusionMaskConfig(), ring_config)[:25]
+        same = mut.make_mask_fan(mut.OcclusionMaskConfig(), sensor)[:25]
         np.testing.assert_array_equal(same, make_cone_fan(np.radians(25.0), 25))
         # Farther than a sensor can measure by the error of a reading.
         cell = make_cell(config)
@@ -827,7 +822,9 @@ class TestOcclusionMask(unittest.TestCase):
     def setUp(self):
         config = mut.OcclusionMaskConfig()
         self.cell = make_cell(config, names=RINGS)
-        self.set_up_dut(mut.OcclusionMask(config=config, **self.cell))
+        self.set_up_dut(
+            mut.OcclusionMask(config=config, name=RINGS, **self.cell)
+        )
 
     def set_up_dut(self, dut):
         self.dut = dut
@@ -883,7 +880,9 @@ class TestOcclusionMask(unittest.TestCase):
         for n in (1, 8, 16):
             cell = make_cell(mut.OcclusionMaskConfig(), n=n)
             with self.assertRaisesRegex(ValueError, f"{n} for 3 rings"):
-                mut.OcclusionMask(config=mut.OcclusionMaskConfig(), **cell)
+                mut.OcclusionMask(
+                    config=mut.OcclusionMaskConfig(), name=RINGS, **cell
+                )
 
     def test_nothing_before_the_first_scan(self):
         self.simulator.AdvanceTo(0.1)
@@ -992,7 +991,9 @@ class TestOcclusionMask(unittest.TestCase):
             config = mut.OcclusionMaskConfig()
             self.setUp()
             self.set_up_dut(
-                mut.OcclusionMask(config=config, period=period, **self.cell)
+                mut.OcclusionMask(
+                    config=config, period=period, name=RINGS, **self.cell
+                )
             )
             last = int(np.ceil(0.3 / period))
             # As old as a sample may be, and a look back from there.
@@ -1014,6 +1015,7 @@ class TestOcclusionMask(unittest.TestCase):
                 mut.OcclusionMask(
                     config=mut.OcclusionMaskConfig(),
                     period=period,
+                    name=RINGS,
                     **self.cell,
                 )
 
@@ -1022,6 +1024,7 @@ class TestOcclusionMask(unittest.TestCase):
             mut.OcclusionMask(
                 config=mut.OcclusionMaskConfig(max_age=0.07),
                 period=0.08,
+                name=RINGS,
                 **self.cell,
             )
 

@@ -4,6 +4,7 @@ import functools
 import unittest
 
 import numpy as np
+from paper_cell import RINGS, find_kinematics, make_twin_plant
 from pydrake.geometry import (
     GeometryInstance,
     PerceptionProperties,
@@ -17,10 +18,8 @@ from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder, LeafSystem
 from pydrake.systems.rendering import MultibodyPositionToGeometryPose
 
-from tofssm_drake.arms.cell_plant import make_twin_plant
-from tofssm_drake.arms.kinematics import RingKinematics
 from tofssm_drake.errors import UserError
-from tofssm_drake.messages import RINGS, Reading, RingHealth
+from tofssm_drake.messages import Reading, RingHealth
 from tofssm_drake.perception.occlusion_mask import (
     OcclusionMask,
     OcclusionMaskConfig,
@@ -40,8 +39,8 @@ from tofssm_drake.perception.twin import TwinPoses
 from tofssm_drake.raycast.ray_caster import RayCaster
 import tofssm_drake.sensors.ring_mount as mut
 from tofssm_drake.sensors.tof_rings import (
-    TofRingConfig,
     TofRings,
+    Vl53l1x,
     make_ring_bundles,
 )
 from tofssm_drake.sensors.vl53l1x import (
@@ -59,21 +58,19 @@ class Twin:
 
     def __init__(self, sensors_per_ring=8):
         scene_graph = SceneGraph()
-        self.plant = make_twin_plant(
-            scene_graph=scene_graph, sensors_per_ring=sensors_per_ring
-        )
+        self.plant = make_twin_plant(scene_graph, count=sensors_per_ring)
         inspector = scene_graph.model_inspector()
         self.caster = RayCaster(inspector)
         self.mounts = [
             mut.find_ring_mount(self.plant, inspector, ring) for ring in RINGS
         ]
-        self.kinematics = RingKinematics.from_plant(self.plant)
+        self.kinematics = find_kinematics(self.plant)
         config = ProgramConfig()
         self.layout = ProductLayout.from_config(config)
         self.path = make_program_path(config, self.kinematics)
         self.bundles = make_mask_bundles(
             config=OcclusionMaskConfig(),
-            ring_config=TofRingConfig(),
+            sensor=Vl53l1x(),
             caster=self.caster,
             mounts=self.mounts,
         )
@@ -102,7 +99,7 @@ class TestRingMount(unittest.TestCase):
     def test_reads_the_models(self):
         for n in (8, 16):
             scene_graph = SceneGraph()
-            plant = make_twin_plant(scene_graph=scene_graph, sensors_per_ring=n)
+            plant = make_twin_plant(scene_graph, count=n)
             for ring, link in zip(
                 RINGS,
                 ("upper_arm_link", "forearm_link", "wrist_3_link"),
@@ -141,7 +138,7 @@ class TestReadingsOfTheRobotItself(unittest.TestCase):
     def test_robot_alone_is_never_valid_and_rings_stay_healthy(self):
         """Over the whole task, with noise and any sensors."""
         twin = make_twin()
-        config = TofRingConfig().sensor
+        config = Vl53l1x()
         mask = OcclusionMaskConfig()
         seen = 0
         for seed, time in enumerate(np.linspace(0.0, twin.path.duration, 200)):
@@ -246,10 +243,10 @@ class Noise(LeafSystem):
 def make_diagram(*, start, phases, mask_config, person=None, seed=0):
     """Rings, masks and separation on a robot that follows its path."""
     twin = make_twin()
-    config = TofRingConfig()
+    config = Vl53l1x()
     builder = DiagramBuilder()
     scene_graph = builder.AddSystem(SceneGraph())
-    plant = make_twin_plant(scene_graph=scene_graph)
+    plant = make_twin_plant(scene_graph)
     if person is not None:
         geometry = GeometryInstance(
             RigidTransform(person), Sphere(0.1), "person"
@@ -270,6 +267,7 @@ def make_diagram(*, start, phases, mask_config, person=None, seed=0):
     caster = RayCaster(scene_graph.model_inspector())
     separation = builder.AddSystem(
         TofSeparation(
+            name=RINGS,
             config=SeparationConfig(),
             kinematics=twin.kinematics,
             geometries=[make_ring_geometry(m.X_LS) for m in twin.mounts],
@@ -277,6 +275,7 @@ def make_diagram(*, start, phases, mask_config, person=None, seed=0):
     )
     mask = builder.AddSystem(
         OcclusionMask(
+            name=RINGS,
             config=mask_config,
             caster=twin.caster,
             bundles=twin.bundles,
@@ -290,7 +289,7 @@ def make_diagram(*, start, phases, mask_config, person=None, seed=0):
         index = [i for i, p in enumerate(phases) if p == phase]
         names = tuple(RINGS[i] for i in index)
         errors = [
-            draw_sensor_errors(config.sensor, sensors=8, seed=seed, ring=i)
+            draw_sensor_errors(config, sensors=8, seed=seed, ring=i)
             for i in index
         ]
         rings = builder.AddSystem(

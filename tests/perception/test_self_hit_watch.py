@@ -5,19 +5,22 @@ import math
 import unittest
 
 import numpy as np
+from paper_cell import RINGS, make_twin_plant
 from pydrake.common.value import Value
 from pydrake.geometry import SceneGraph
 from pydrake.systems.analysis import Simulator
+from pydrake.systems.framework import DiagramBuilder
 
-from tofssm_drake.arms.cell_plant import make_twin_plant
-from tofssm_drake.arms.kinematics import RingKinematics
 from tofssm_drake.diagrams.monitor import (
-    make_scenario_self_hits,
+    make_twin,
     tell_self_hit_coverage,
 )
-from tofssm_drake.diagrams.scenario import Scenario
+from tofssm_drake.diagrams.scenario import load_scenario
+from tofssm_drake.diagrams.sensors.rings import (
+    group_rings,
+    make_group_self_hits,
+)
 from tofssm_drake.messages import (
-    RINGS,
     MaskedScan,
     Reading,
     RingHealth,
@@ -39,6 +42,7 @@ from tofssm_drake.sensors.ring_mount import find_ring_mount
 from tofssm_drake.sensors.vl53l1x import (
     NOISE_DRAWS,
     SensorErrors,
+    Vl53l1x,
     calc_cast_range,
     draw_sensor_errors,
     measure,
@@ -70,7 +74,7 @@ class World:
         self.human_rows = [row[f] for f in human_frames]
         others = [f for f in row if f not in set(human_frames)]
         self.twin_rows = [row[f] for f in others]
-        scenario = Scenario()
+        scenario = load_scenario()
         self.poses = TwinPoses.from_plant(
             plant,
             layout=ProductLayout.from_config(scenario.program),
@@ -79,7 +83,7 @@ class World:
 
     def make_bundles(self, turn=0.0, shift=0.0):
         """Returns the rays of rings turned by some rad and moved by some m."""
-        config = Scenario().rings
+        config = Vl53l1x()
         return self.caster.make_bundles(
             frame_id=[m.frame_id for m in self.mounts for _ in m.X_FS],
             X_FS=[
@@ -90,7 +94,7 @@ class World:
             fan_S=make_cone_fan(
                 math.radians(config.fov_deg), config.rays_per_sensor
             ),
-            max_range=calc_cast_range(config.sensor),
+            max_range=calc_cast_range(config),
             excluded=[m.geometry_ids for m in self.mounts for _ in m.X_FS],
         )
 
@@ -115,12 +119,13 @@ def make_world(human=False):
 @functools.cache
 def make_model_and_path():
     """Returns the monitor's model, and the task."""
-    scenario = Scenario()
-    scene_graph = SceneGraph()
-    plant = make_twin_plant(scene_graph=scene_graph)
-    kinematics = RingKinematics.from_plant(plant)
-    model = make_scenario_self_hits(scenario, scene_graph, plant, kinematics)
-    return model, make_program_path(scenario.program, kinematics)
+    scenario = load_scenario()
+    twin = make_twin(DiagramBuilder(), scenario)
+    (group,) = group_rings(scenario.sensors)
+    return (
+        make_group_self_hits(twin, group),
+        make_program_path(scenario.program, twin.kinematics),
+    )
 
 
 def keep(distance, status):
@@ -177,7 +182,7 @@ def watch(
     world = make_world(human)
     model, path = make_model_and_path()
     state = mut.view_state(model, mut.make_state_vector(model))
-    config = Scenario().rings.sensor
+    config = Vl53l1x()
     errors = [
         draw_sensor_errors(config, sensors=8, seed=seed, ring=i)
         for i in range(3)
@@ -378,7 +383,7 @@ class TestNoFault(unittest.TestCase):
 
 class TestCoverage(unittest.TestCase):
     def test_default_scenario_shows_each_ring_something(self):
-        lines = tell_self_hit_coverage(Scenario())
+        lines = tell_self_hit_coverage(load_scenario())
         self.assertFalse([line for line in lines if "cannot" in line])
         # Single sensors see neither robot nor cell.
         self.assertEqual(len(lines), 3)
@@ -395,8 +400,7 @@ class TestCoverage(unittest.TestCase):
         )
 
     def test_other_sensings_have_nothing_to_report(self):
-        scenario = Scenario()
-        scenario.sensing = "lidar"
+        scenario = load_scenario(name="PlanarLidar")
         self.assertEqual(tell_self_hit_coverage(scenario), [])
 
 
@@ -565,9 +569,9 @@ class TestSystems(unittest.TestCase):
         self.assertEqual(rig.health().problem, ("", "", ""))
 
     def test_link_is_faulted(self):
-        dut = mut.SelfHitStop()
+        dut = mut.SelfHitStop(RINGS)
         context = dut.CreateDefaultContext()
-        separation = make_empty_separation()
+        separation = make_empty_separation(RINGS)
         healthy = np.full(3, RingHealth.HEALTHY)
         separation = mut.dc.replace(separation, health=healthy)
         dut.GetInputPort("separation").FixValue(context, Value(separation))
@@ -579,7 +583,9 @@ class TestSystems(unittest.TestCase):
                 context,
                 Value(
                     SelfHitHealth(
-                        fault=np.zeros((3, 8), dtype=np.uint8), problem=problem
+                        name=RINGS,
+                        fault=np.zeros((3, 8), dtype=np.uint8),
+                        problem=problem,
                     )
                 ),
             )

@@ -6,7 +6,7 @@ import numpy as np
 from tofssm_drake.errors import UserError
 from tofssm_drake.perception.occlusion_mask import OcclusionMaskConfig
 import tofssm_drake.perception.self_hits as mut
-from tofssm_drake.sensors.tof_rings import TofRingConfig
+from tofssm_drake.sensors.vl53l1x import Vl53l1x
 
 INF = np.inf
 
@@ -186,7 +186,7 @@ class TestExpectation(unittest.TestCase):
 
     def test_fan_is_wide_then_narrow(self):
         fan_S, num_wide = mut.make_self_hit_fan(
-            mut.SelfHitConfig(), OcclusionMaskConfig(), TofRingConfig()
+            mut.SelfHitConfig(), OcclusionMaskConfig(), Vl53l1x()
         )
         angle = np.degrees(np.arccos(np.clip(fan_S[:, 0], -1.0, 1.0)))
         self.assertAlmostEqual(angle[:num_wide].max(), 13.5, places=6)

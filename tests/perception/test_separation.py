@@ -5,6 +5,7 @@ import unittest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 import numpy as np
+from paper_cell import RINGS
 from pydrake.common.value import Value
 from pydrake.common.yaml import yaml_load_typed
 from pydrake.math import RigidTransform, RotationMatrix
@@ -12,7 +13,6 @@ from pydrake.math import RigidTransform, RotationMatrix
 from tofssm_drake.errors import UserError
 from tofssm_drake.laws.distances import calc_directed_speeds
 from tofssm_drake.messages import (
-    RINGS,
     MaskedScan,
     Reading,
     RingHealth,
@@ -427,6 +427,7 @@ class TestTofSeparation(unittest.TestCase):
     def setUp(self):
         self.kinematics = FakeKinematics()
         self.dut = mut.TofSeparation(
+            name=RINGS,
             config=mut.SeparationConfig(),
             kinematics=self.kinematics,
             geometries=[

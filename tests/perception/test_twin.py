@@ -2,14 +2,13 @@ import functools
 import unittest
 
 import numpy as np
+from paper_cell import RINGS, make_twin_plant
 from pydrake.geometry import Role, SceneGraph
 from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.rendering import MultibodyPositionToGeometryPose
 
-from tofssm_drake.arms.cell_plant import make_twin_plant
 from tofssm_drake.arms.kinematics import RingKinematics
 from tofssm_drake.errors import UserError
-from tofssm_drake.messages import RINGS
 import tofssm_drake.perception.twin as mut
 from tofssm_drake.tasks.products import ProductLayout, calc_product_positions
 from tofssm_drake.tasks.program import ProgramConfig, make_program_path
@@ -18,7 +17,7 @@ from tofssm_drake.tasks.program import ProgramConfig, make_program_path
 @functools.cache
 def make_twin():
     scene_graph = SceneGraph()
-    return make_twin_plant(scene_graph=scene_graph), scene_graph
+    return make_twin_plant(scene_graph), scene_graph
 
 
 def _calc_positions(*, q, **reported):
@@ -105,7 +104,7 @@ class TestSensorsAreOutside(unittest.TestCase):
         shape that it could see, its own link apart; products included."""
         builder = DiagramBuilder()
         scene_graph = builder.AddSystem(SceneGraph())
-        plant = make_twin_plant(scene_graph=scene_graph, sensors_per_ring=16)
+        plant = make_twin_plant(scene_graph, count=16)
         poses = builder.AddSystem(MultibodyPositionToGeometryPose(plant))
         builder.Connect(
             poses.get_output_port(),

@@ -2,6 +2,7 @@ import dataclasses as dc
 import unittest
 
 import numpy as np
+from paper_cell import RINGS
 from pydrake.common.value import Value
 from pydrake.systems.analysis import Simulator
 
@@ -37,6 +38,7 @@ _PORTS = [
 
 def _make_separation(sequence=(4, 5, -1)):
     return Separation(
+        name=RINGS,
         sequence=np.array(sequence),
         time=np.array([0.1, 0.2, -np.inf]),
         distance=np.array([0.7, np.inf, np.inf]),
@@ -52,6 +54,7 @@ def _make_separation(sequence=(4, 5, -1)):
 
 def _make_dsi():
     return SafetyIndex(
+        name=RINGS,
         sequence=np.array([4, 5, -1]),
         time=np.zeros(3),
         d_C=np.array([0.5, 0.6, 0.7]),
@@ -97,8 +100,9 @@ class _CountingTruth:
 class TestSampleRecorder(unittest.TestCase):
     def setUp(self):
         self.dut = mut.SampleRecorder(
+            rings=RINGS,
             truth=_CountingTruth(),
-            num_sensors=4,
+            num_sensors=dict.fromkeys(RINGS, 4),
             metadata={"seed": 3, "products": 10},
         )
         self.simulator = Simulator(self.dut)
@@ -205,7 +209,7 @@ class TestSampleRecorder(unittest.TestCase):
 
     def test_scans(self):
         """A scan is recorded once, when it is new; none before the first."""
-        self._fix("separation", Value(make_empty_separation()))
+        self._fix("separation", Value(make_empty_separation(RINGS)))
         self._advance(1)
         for tick, sequence in enumerate([0, 0, 1]):
             self._fix("masked_scan_elbow", Value(_make_scan(sequence)))
@@ -308,7 +312,7 @@ class TestSampleRecorder(unittest.TestCase):
     def test_one_link_without_rings(self):
         """The lidar has one watched link and no ring scans."""
         dut = mut.SampleRecorder(
-            truth=_CountingTruth(1), rings=("lidar",), num_sensors=0
+            truth=_CountingTruth(1), rings=("lidar",), num_sensors={}
         )
         self.assertEqual(dut.num_input_ports(), 8)
         simulator = Simulator(dut)
@@ -344,7 +348,10 @@ class TestSampleRecorder(unittest.TestCase):
 
         motion = make_walk(GeneratedWalk(), 0.008)
         self.dut = mut.SampleRecorder(
-            truth=Truth(), motion=motion, num_sensors=4
+            rings=RINGS,
+            truth=Truth(),
+            motion=motion,
+            num_sensors=dict.fromkeys(RINGS, 4),
         )
         context = self.dut.CreateDefaultContext()
         context.SetTime(1.5)
@@ -368,5 +375,9 @@ class TestSampleRecorder(unittest.TestCase):
 
 class TestNoState(unittest.TestCase):
     def test_no_state(self):
-        dut = mut.SampleRecorder(truth=_CountingTruth())
+        dut = mut.SampleRecorder(
+            rings=RINGS,
+            num_sensors=dict.fromkeys(RINGS, 8),
+            truth=_CountingTruth(),
+        )
         self.assertTrue(dut.CreateDefaultContext().is_stateless())

@@ -10,6 +10,7 @@ from unittest import mock
 import jsonschema
 from mcap.reader import make_reader
 import numpy as np
+from paper_cell import RINGS
 
 from tofssm_drake.errors import UserError
 from tofssm_drake.messages import RingScan, RobotReport, SliderCommand
@@ -28,6 +29,7 @@ def make_tick(k, scans):
         command=SliderCommand(sequence=k, speed_fraction=1 / 3, heartbeat=k),
         state={
             "robot_state": 1,
+            "links": list(RINGS),
             "ring_states": [1, 2, 1],
             "reason": 'a "NaN" is not a number',
             "speed_fraction": 1 / 3,
@@ -61,7 +63,9 @@ class TestRunRecord(unittest.TestCase):
 
     def write(self, count=5):
         ticks = []
-        with mut.RunRecorder(self.path, {"what": "test"}) as recorder:
+        with mut.RunRecorder(
+            self.path, {"what": "test"}, links=RINGS
+        ) as recorder:
             scan = make_scan(0)
             for k in range(count):
                 if k % 2 == 0:
@@ -102,7 +106,7 @@ class TestRunRecord(unittest.TestCase):
         before = {n: v for n, v in vars(scan).items() if n != "problem"}
         with (
             mock.patch.object(mut, "vars", create=True) as plain,
-            mut.RunRecorder(self.path, {}) as recorder,
+            mut.RunRecorder(self.path, {}, links=RINGS) as recorder,
         ):
             plain.side_effect = lambda value: (
                 before if value is scan else value.__dict__
@@ -130,7 +134,7 @@ class TestRunRecord(unittest.TestCase):
         late = make_tick(1, (a, a))
         with (
             mock.patch.object(mut, "_make_plain", make_plain),
-            mut.RunRecorder(self.path, {}) as recorder,
+            mut.RunRecorder(self.path, {}, links=RINGS) as recorder,
         ):
             recorder.add_tick(make_tick(0, (a, a)))
             recorder.add_tick(late)
@@ -210,17 +214,17 @@ class TestRunRecord(unittest.TestCase):
         )
 
     def test_a_run_that_never_begins_leaves_what_was_there(self):
-        with mut.RunRecorder(self.path) as recorder:
+        with mut.RunRecorder(self.path, links=RINGS) as recorder:
             recorder.add_robot_bytes(0.0, False, b"too late")
         self.assertFalse(self.path.exists())
         self.path.write_bytes(b"of an earlier run")
-        with mut.RunRecorder(self.path) as recorder:
+        with mut.RunRecorder(self.path, links=RINGS) as recorder:
             recorder.add_robot_bytes(0.0, False, b"too late")
         self.assertEqual(self.path.read_bytes(), b"of an earlier run")
 
     def test_what_came_before_the_run_is_written_with_it(self):
         self.path.write_bytes(b"of an earlier run")
-        with mut.RunRecorder(self.path) as recorder:
+        with mut.RunRecorder(self.path, links=RINGS) as recorder:
             recorder.add_robot_bytes(0.0, False, b"hello")
             time.sleep(0.5)
             self.assertEqual(self.path.read_bytes(), b"of an earlier run")
@@ -233,11 +237,11 @@ class TestRunRecord(unittest.TestCase):
 
     def test_a_full_disk_is_reported_by_the_next_tick(self):
         with self.assertRaisesRegex(UserError, "--record: /dev/full: cannot"):
-            mut.RunRecorder(Path("/dev/full"), {})
+            mut.RunRecorder(Path("/dev/full"), {}, links=RINGS)
         limits = resource.getrlimit(resource.RLIMIT_FSIZE)
         self.addCleanup(resource.setrlimit, resource.RLIMIT_FSIZE, limits)
         scan = make_scan(0)
-        with mut.RunRecorder(self.path, {}) as recorder:
+        with mut.RunRecorder(self.path, {}, links=RINGS) as recorder:
             recorder.add_tick(make_tick(0, (scan,)))
             resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, limits[1]))
             # Callers that hand in bytes are not disturbed.
@@ -279,7 +283,7 @@ class TestRunRecord(unittest.TestCase):
             "minimum_fraction": 0.0,
             "arm": vars(ArmConfig()),
         }
-        with mut.RunRecorder(self.path, run) as recorder:
+        with mut.RunRecorder(self.path, run, links=RINGS) as recorder:
             recorder.add_tick(nothing)
             recorder.add_tick(make_tick(1, (scan, scan)))
             recorder.add_tick(make_tick(2, (scan, scan)))
@@ -311,7 +315,7 @@ class TestRunRecord(unittest.TestCase):
     def test_published_is_when_it_happened(self):
         """On the host's clock, from which `epoch` leads to Unix time."""
         now = time.monotonic()
-        with mut.RunRecorder(self.path, {}) as recorder:
+        with mut.RunRecorder(self.path, {}, links=RINGS) as recorder:
             recorder.add_ring_bytes(now - 5.0, "udp", b"frame")
         ((_, message),) = self.read_messages("/rings/received")
         epoch = mut.RunReader(self.path).run["epoch"]
@@ -321,7 +325,7 @@ class TestRunRecord(unittest.TestCase):
         self.assertLess(abs(message.log_time * 1e-9 - time.time()), 60.0)
 
     def test_what_was_added_is_in_the_file_soon(self):
-        with mut.RunRecorder(self.path, {}) as recorder:
+        with mut.RunRecorder(self.path, {}, links=RINGS) as recorder:
             recorder.add_tick(make_tick(0, ()))
             deadline = time.monotonic() + 10.0
             while not list(mut.RunReader(self.path).read_ticks()):
@@ -335,4 +339,6 @@ class TestRunRecord(unittest.TestCase):
         with self.assertRaisesRegex(UserError, "not an MCAP file"):
             mut.RunReader(self.path)
         with self.assertRaisesRegex(UserError, "cannot write"):
-            mut.RunRecorder(self.path.parent / "none" / "x.mcap", {})
+            mut.RunRecorder(
+                self.path.parent / "none" / "x.mcap", {}, links=RINGS
+            )

@@ -37,7 +37,7 @@ def find_faults(schema, where):
 
 class TestSchemas(unittest.TestCase):
     def test_foxglove_can_read_them(self):
-        for topic, schema in mut.SCHEMAS.items():
+        for topic, schema in mut.make_schemas(("a", "b")).items():
             with self.subTest(topic=topic):
                 self.assertEqual(find_faults(schema, topic), [])
                 jsonschema.Draft202012Validator.check_schema(schema)

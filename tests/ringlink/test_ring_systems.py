@@ -2,6 +2,7 @@ import dataclasses as dc
 import unittest
 
 import numpy as np
+from paper_cell import RINGS
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import ConstantVectorSource
@@ -9,7 +10,7 @@ from pydrake.systems.primitives import ConstantVectorSource
 from tofssm_drake.diagrams.monitor import make_monitor
 from tofssm_drake.diagrams.scenario import load_scenario
 from tofssm_drake.errors import UserError
-from tofssm_drake.messages import RINGS, RingScan, RobotState
+from tofssm_drake.messages import RingScan, RobotState
 from tofssm_drake.ringlink.ring_device import make_frame
 from tofssm_drake.ringlink.ring_frame import encode_frame
 from tofssm_drake.ringlink.ring_link import LoopbackRingLink, NullRingLink
@@ -76,7 +77,9 @@ def make_cell(link, *, clock_offset=None, wait_timeout=0.0):
     subscriber = builder.AddNamedSystem(
         "rings",
         mut.RingSubscriberSystem(
-            connection=interface.connection, wait_timeout=wait_timeout
+            name=RINGS,
+            connection=interface.connection,
+            wait_timeout=wait_timeout,
         ),
     )
     for ring in RINGS:
@@ -204,9 +207,13 @@ class TestRingSubscriberSystem(unittest.TestCase):
         with self.assertRaisesRegex(ValueError, "3 rings, not of 2"):
             mut.RingSubscriberSystem(connection=link, name=("a", "b"))
         with self.assertRaisesRegex(UserError, "wait_timeout"):
-            mut.RingSubscriberSystem(connection=link, wait_timeout=-1.0)
+            mut.RingSubscriberSystem(
+                name=RINGS, connection=link, wait_timeout=-1.0
+            )
         with self.assertRaisesRegex(UserError, "max_ahead"):
-            mut.RingSubscriberSystem(connection=link, max_ahead=-1.0)
+            mut.RingSubscriberSystem(
+                name=RINGS, connection=link, max_ahead=-1.0
+            )
 
     def test_diagram_shows_the_source(self):
         diagram = make_cell(NullRingLink(decoder=make_decoder()))
@@ -226,7 +233,9 @@ class TestMonitorBehindTheLink(unittest.TestCase):
         cls.monitor = builder.AddSystem(make_monitor(scenario))
         builder.AddSystem(mut.RingInterfaceSystem(connection=cls.link))
         rings = builder.AddSystem(
-            mut.RingSubscriberSystem(connection=cls.link, wait_timeout=0.0)
+            mut.RingSubscriberSystem(
+                name=RINGS, connection=cls.link, wait_timeout=0.0
+            )
         )
         offset = builder.AddSystem(ConstantVectorSource([-_HOST]))
         builder.Connect(

@@ -17,10 +17,10 @@ import pytest
 from tofssm_drake.diagrams import campaign_run
 from tofssm_drake.diagrams.scenario import load_scenario
 from tofssm_drake.paper import campaign_report
+from tofssm_drake.paper.campaign import list_studies, make_plan
 from tofssm_drake.recording.samples import read_samples
 import tofssm_drake.scripts.experiments as mut
 import tofssm_drake.scripts.main as main
-from tofssm_drake.studies.campaign import list_studies, make_plan
 
 # Two cells, one person, and the run without anybody.
 SMALL = (

@@ -6,8 +6,9 @@ import types
 import unittest
 
 import numpy as np
+from paper_cell import RINGS
 
-from tofssm_drake.messages import RINGS, RobotReport, RobotState
+from tofssm_drake.messages import RobotReport, RobotState
 from tofssm_drake.ringlink.ring_budget import LinkFigures
 from tofssm_drake.ringlink.ring_link import RingLinkStatus
 from tofssm_drake.ringlink.ring_receiver import RingCounts

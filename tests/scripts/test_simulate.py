@@ -10,10 +10,10 @@ import time
 
 from bvh_writer import write_bvh
 import numpy as np
+from paper_cell import RINGS
 import pytest
 
 import tofssm_drake.diagrams.simulation as simulation
-from tofssm_drake.messages import RINGS
 from tofssm_drake.recording.samples import read_samples
 import tofssm_drake.scripts.main as mut
 import tofssm_drake.scripts.simulate as simulate

@@ -10,9 +10,9 @@ import sys
 import time
 import unittest
 
+from paper_cell import RINGS
 import pytest
 
-from tofssm_drake.messages import RINGS
 from tofssm_drake.ringlink.ring_address import parse_ring_address
 from tofssm_drake.ringlink.ring_link import RingLink, explain_silence
 from tofssm_drake.ringlink.ring_receiver import RingDecoder, RingLinkConfig

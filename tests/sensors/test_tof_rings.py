@@ -2,6 +2,7 @@ from types import SimpleNamespace
 import unittest
 
 import numpy as np
+from paper_cell import RINGS
 from pydrake.common.value import Value
 from pydrake.common.yaml import yaml_load_typed
 from pydrake.geometry import (
@@ -26,7 +27,7 @@ import tofssm_drake.sensors.tof_rings as mut
 from tofssm_drake.sensors.vl53l1x import (
     NOISE_DRAWS,
     SensorErrors,
-    TofSensorConfig,
+    Vl53l1x,
 )
 
 SPEED = 0.5
@@ -128,9 +129,7 @@ def make_cell(config, *, phase=0.0, errors=None, noise=0.0, housing=False):
 
 
 def make_ideal(**settings):
-    return mut.TofRingConfig(
-        sensor=TofSensorConfig(ideal=True), readout_time=0.005, **settings
-    )
+    return Vl53l1x(ideal=True, readout_time=0.005, **settings)
 
 
 class Counter(LeafSystem):
@@ -177,15 +176,15 @@ class XCaster:
 
 class TestConfig(unittest.TestCase):
     def test_defaults(self):
-        dut = mut.TofRingConfig()
+        dut = Vl53l1x()
         dut.check("rings")
         self.assertAlmostEqual(dut.period, 0.024)
         self.assertAlmostEqual(dut.latency, 0.015)
 
     def test_loads_and_checks(self):
         dut = yaml_load_typed(
-            schema=mut.TofRingConfig,
-            data="{fov_deg: 15, sensor: {timing_budget: 0.033}}",
+            schema=Vl53l1x,
+            data="{fov_deg: 15, timing_budget: 0.033}",
         )
         self.assertAlmostEqual(dut.period, 0.037)
         for name, bad in (
@@ -195,9 +194,9 @@ class TestConfig(unittest.TestCase):
             ("readout_time", np.inf),
         ):
             with self.assertRaisesRegex(UserError, f"here.{name}: .*use"):
-                mut.TofRingConfig(**{name: bad}).check("here")
-        dut.sensor.dropout = 2.0
-        with self.assertRaisesRegex(UserError, r"here\.sensor\.dropout"):
+                Vl53l1x(**{name: bad}).check("here")
+        dut.dropout = 2.0
+        with self.assertRaisesRegex(UserError, r"here\.dropout"):
             dut.check("here")
 
 
@@ -321,7 +320,7 @@ class TestTofRings(unittest.TestCase):
 
     def test_several_rings_are_as_each_alone(self):
         """Sensor by sensor, with noise and errors, on moving links."""
-        config = mut.TofRingConfig()
+        config = Vl53l1x()
         n = 8
         rng = np.random.default_rng(1)
         noise = rng.standard_normal((3 * n, NOISE_DRAWS))
@@ -422,6 +421,7 @@ class TestTofRings(unittest.TestCase):
 
     def test_ports(self):
         dut = mut.TofRings(
+            name=RINGS,
             config=make_ideal(),
             caster=XCaster(),
             bundles=SimpleNamespace(num_bundles=24),
@@ -448,13 +448,14 @@ class TestTofRings(unittest.TestCase):
                 ValueError, f"{num_bundles} for 3 rings"
             ):
                 mut.TofRings(
+                    name=RINGS,
                     config=make_ideal(),
                     caster=XCaster(),
                     bundles=SimpleNamespace(num_bundles=num_bundles),
                 )
 
     def test_real_sensors_use_noise_and_errors(self):
-        config = mut.TofRingConfig()
+        config = Vl53l1x()
         errors = SensorErrors(bias=np.full(8, 0.01), gain=np.ones(8))
         scan = self.run_until(
             make_cell(config, errors=errors, noise=0.0), [0.04]
@@ -467,11 +468,11 @@ class TestTofRings(unittest.TestCase):
 
     def test_scans_take_their_noise_in_turn(self):
         scans = self.run_until(
-            make_cell(mut.TofRingConfig(), noise=[0.0, 1.0, 0.5]),
+            make_cell(Vl53l1x(), noise=[0.0, 1.0, 0.5]),
             0.024 * np.arange(2, 9),
         )
         still = self.run_until(
-            make_cell(mut.TofRingConfig(), noise=0.0), 0.024 * np.arange(2, 9)
+            make_cell(Vl53l1x(), noise=0.0), 0.024 * np.arange(2, 9)
         )
         np.testing.assert_allclose(
             [
@@ -484,11 +485,11 @@ class TestTofRings(unittest.TestCase):
 
     def test_noise_is_for_one_scan_at_least(self):
         with self.assertRaisesRegex(ValueError, "noise_scans"):
-            make_cell(mut.TofRingConfig(), noise=[])
+            make_cell(Vl53l1x(), noise=[])
 
     def test_noise_must_be_connected_unless_ideal(self):
         with self.assertRaisesRegex(RuntimeError, "noise"):
-            self.run_until(make_cell(mut.TofRingConfig(), noise=None), [0.04])
+            self.run_until(make_cell(Vl53l1x(), noise=None), [0.04])
 
     def test_rejects_errors_of_another_ring(self):
         with self.assertRaisesRegex(ValueError, "8 sensors"):

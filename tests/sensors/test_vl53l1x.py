@@ -38,7 +38,7 @@ def measure(config, ray_distance, noise=None, errors=None, seed=0):
 class TestConfig(unittest.TestCase):
     def test_loads_from_yaml(self):
         dut = yaml_load_typed(
-            schema=mut.TofSensorConfig,
+            schema=mut.Vl53l1x,
             data="{ideal: true, usable_range: 1.5, return_model: mean}",
         )
         dut.check("sensor")
@@ -49,25 +49,23 @@ class TestConfig(unittest.TestCase):
         with self.assertRaisesRegex(
             UserError, r"rings\.sensor\.dropout: 1\.5 .* 0 to 1"
         ):
-            mut.TofSensorConfig(dropout=1.5).check("rings.sensor")
+            mut.Vl53l1x(dropout=1.5).check("rings.sensor")
         with self.assertRaisesRegex(UserError, "'far' .* 'nearest' or 'mean'"):
-            mut.TofSensorConfig(return_model="far").check("sensor")
+            mut.Vl53l1x(return_model="far").check("sensor")
 
     def test_every_number_is_checked(self):
-        for field in dc.fields(mut.TofSensorConfig):
+        for field in dc.fields(mut.Vl53l1x):
             if field.type is float:
                 for bad in (-1.0, np.nan, 1e6):
-                    config = mut.TofSensorConfig(**{field.name: bad})
+                    config = mut.Vl53l1x(**{field.name: bad})
                     with self.assertRaisesRegex(UserError, field.name):
                         config.check("sensor")
 
     def test_cast_range(self):
+        self.assertEqual(mut.calc_cast_range(mut.Vl53l1x(ideal=True)), 1.31)
+        self.assertEqual(mut.calc_cast_range(mut.Vl53l1x()), 1.36)
         self.assertEqual(
-            mut.calc_cast_range(mut.TofSensorConfig(ideal=True)), 1.31
-        )
-        self.assertEqual(mut.calc_cast_range(mut.TofSensorConfig()), 1.36)
-        self.assertEqual(
-            mut.calc_cast_range(mut.TofSensorConfig(usable_range=1.5)), 1.5
+            mut.calc_cast_range(mut.Vl53l1x(usable_range=1.5)), 1.5
         )
 
 
@@ -75,7 +73,7 @@ class TestMeasure(unittest.TestCase):
     def test_ideal_is_the_exact_nearest_and_reads_no_noise(self):
         rays = [[0.5123456, 0.7, np.inf], [np.inf] * 3, [0.0, 1.0, 1.0]]
         distance, status = measure(
-            mut.TofSensorConfig(ideal=True),
+            mut.Vl53l1x(ideal=True),
             rays,
             noise=np.full((3, mut.NOISE_DRAWS), np.nan),
         )
@@ -85,23 +83,21 @@ class TestMeasure(unittest.TestCase):
 
     def test_everything_switched_off_equals_ideal(self):
         rays = np.random.default_rng(1).uniform(0.001, 2.0, (500, 25))
-        quiet = measure(mut.TofSensorConfig(**QUIET), rays)
-        ideal = measure(mut.TofSensorConfig(ideal=True), rays)
+        quiet = measure(mut.Vl53l1x(**QUIET), rays)
+        ideal = measure(mut.Vl53l1x(ideal=True), rays)
         seen = ideal[1] == 0
         np.testing.assert_array_equal(quiet[1] == 0, seen)
         np.testing.assert_allclose(
             quiet[0][seen], ideal[0][seen], rtol=0, atol=1e-15
         )
         far = rays + 2.0
-        self.assertTrue(
-            (measure(mut.TofSensorConfig(**QUIET), far)[1] != 0).all()
-        )
+        self.assertTrue((measure(mut.Vl53l1x(**QUIET), far)[1] != 0).all())
 
     def test_noise_has_the_standard_deviation_of_the_datasheet(self):
         # 1.8 mm at 0.4 to 1.0 m and 33 ms; sqrt(33/20) more at 20 ms.
         n = 20000
         for budget, expected in ((0.033, 1.8e-3), (0.020, 2.3122e-3)):
-            config = mut.TofSensorConfig(
+            config = mut.Vl53l1x(
                 **{**QUIET, "noise_gain": 1.0, "timing_budget": budget}
             )
             distance, status = measure(config, np.full((n, 1), 0.7))
@@ -110,7 +106,7 @@ class TestMeasure(unittest.TestCase):
             self.assertAlmostEqual(distance.std() / expected, 1.0, delta=0.02)
 
     def test_bias_and_gain_are_constant_per_sensor(self):
-        config = mut.TofSensorConfig(**QUIET)
+        config = mut.Vl53l1x(**QUIET)
         errors = mut.SensorErrors(
             bias=np.array([0.01, -0.005]), gain=np.array([1.0, 1.002])
         )
@@ -118,7 +114,7 @@ class TestMeasure(unittest.TestCase):
         np.testing.assert_allclose(distance, [0.51, 0.997], atol=1e-12)
 
     def test_errors_follow_the_seed(self):
-        config = mut.TofSensorConfig()
+        config = mut.Vl53l1x()
         one = mut.draw_sensor_errors(config, sensors=2000, seed=3)
         same = mut.draw_sensor_errors(config, sensors=2000, seed=3)
         other = mut.draw_sensor_errors(config, sensors=2000, seed=4)
@@ -131,7 +127,7 @@ class TestMeasure(unittest.TestCase):
         self.assertAlmostEqual(one.gain.std(), 0.002, delta=2e-4)
 
     def test_half_is_seen_at_the_usable_range(self):
-        config = mut.TofSensorConfig(**{**QUIET, "range_falloff": 0.05})
+        config = mut.Vl53l1x(**{**QUIET, "range_falloff": 0.05})
         n = 20000
         for d, expected in ((1.31, 0.5), (1.31 - 0.0655, 0.7311), (1.361, 0)):
             _, status = measure(config, np.full((n, 1), d))
@@ -141,7 +137,7 @@ class TestMeasure(unittest.TestCase):
 
     def test_dropouts_have_the_shares_of_the_kinds(self):
         n = 40000
-        config = mut.TofSensorConfig(**{**QUIET, "dropout": 0.5})
+        config = mut.Vl53l1x(**{**QUIET, "dropout": 0.5})
         distance, status = measure(config, np.full((n, 1), 0.6))
         lost = status != 0
         self.assertAlmostEqual(lost.mean(), 0.5, delta=0.01)
@@ -155,7 +151,7 @@ class TestMeasure(unittest.TestCase):
         self.assertLess(abs(np.median(distance[lost]) - 2.0), 0.1)
 
     def test_nearer_than_the_minimum_is_detected_but_wrong(self):
-        config = mut.TofSensorConfig(**{**QUIET, "min_range_error": 0.03})
+        config = mut.Vl53l1x(**{**QUIET, "min_range_error": 0.03})
         distance, status = measure(config, np.full((4000, 1), 0.035))
         self.assertEqual(set(status), {0, 3})
         self.assertAlmostEqual((status == 3).mean(), 0.5, delta=0.05)
@@ -163,12 +159,12 @@ class TestMeasure(unittest.TestCase):
         self.assertLessEqual(np.abs(distance - 0.035).max(), 0.03 + 1e-12)
 
     def test_large_sigma_fails(self):
-        config = mut.TofSensorConfig(**{**QUIET, "noise_gain": 10.0})
+        config = mut.Vl53l1x(**{**QUIET, "noise_gain": 10.0})
         _, status = measure(config, np.full((100, 1), 0.7))
         self.assertEqual(set(status), {1})
 
     def test_mean_is_weighted_like_the_photons(self):
-        config = mut.TofSensorConfig(**{**QUIET, "return_model": "mean"})
+        config = mut.Vl53l1x(**{**QUIET, "return_model": "mean"})
         distance, _ = measure(config, [[0.5, 1.0, np.inf]])
         # (4 * 0.5 + 1 * 1.0) / 5
         self.assertAlmostEqual(distance[0], 0.6, delta=1e-12)
@@ -178,7 +174,7 @@ class TestMeasure(unittest.TestCase):
         self.assertEqual(status[0], mut.STATUS_SIGMA_FAIL)
 
     def test_whole_millimetres(self):
-        config = mut.TofSensorConfig()
+        config = mut.Vl53l1x()
         rays = np.random.default_rng(2).uniform(0.0, 2.0, (2000, 3))
         distance, _ = measure(config, rays)
         np.testing.assert_allclose(
@@ -186,7 +182,7 @@ class TestMeasure(unittest.TestCase):
         )
 
     def test_wrapped_target_looks_near(self):
-        config = mut.TofSensorConfig(**{**QUIET, "wrap_probability": 1.0})
+        config = mut.Vl53l1x(**{**QUIET, "wrap_probability": 1.0})
         distance, status = measure(config, [[2.0], [np.inf]])
         self.assertAlmostEqual(distance[0], 0.64)
         self.assertEqual(status[0], 0)
@@ -208,7 +204,7 @@ class TestMeasure(unittest.TestCase):
         mean=st.booleans(),
     )
     def test_reports_something_a_device_could(self, rays, draws, mean):
-        config = mut.TofSensorConfig(
+        config = mut.Vl53l1x(
             return_model="mean" if mean else "nearest", dropout=0.2
         )
         distance, status = measure(config, [rays], np.array([draws]))

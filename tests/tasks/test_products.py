@@ -2,18 +2,17 @@ import functools
 import unittest
 
 import numpy as np
+from paper_cell import find_kinematics, make_plant
 from pydrake.common.eigen_geometry import Quaternion
 from pydrake.math import RotationMatrix
 
-from tofssm_drake.arms.cell_plant import make_cell_plant
-from tofssm_drake.arms.kinematics import RingKinematics
 import tofssm_drake.tasks.products as mut
 from tofssm_drake.tasks.program import ProgramConfig, make_program_path
 
 
 @functools.cache
 def make_kinematics():
-    return RingKinematics.from_plant(make_cell_plant())
+    return find_kinematics(make_plant())
 
 
 @functools.cache

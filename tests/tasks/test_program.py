@@ -5,25 +5,18 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 import numpy as np
 from pydrake.common.yaml import yaml_load_typed
-from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import MultibodyForces
 from pydrake.systems.analysis import Simulator
 
+from tofssm_drake.arms.cell_plant import make_cell_plant
 from tofssm_drake.arms.kinematics import RingKinematics
 from tofssm_drake.errors import UserError
-import tofssm_drake.models as models
 import tofssm_drake.tasks.program as mut
 
 
 @functools.cache
 def make_plant():
-    plant = MultibodyPlant(0.0)
-    parser = models.make_parser(plant)
-    url = f"package://{models.PACKAGE}/"
-    parser.AddModelsFromUrl(url + "workcell/workcell.dmd.yaml")
-    parser.AddModelsFromUrl(url + "rings/rings_8.dmd.yaml")
-    plant.Finalize()
-    return plant
+    return make_cell_plant()
 
 
 @functools.cache

@@ -2,11 +2,11 @@ import unittest
 
 from fake_meshcat import FakeMeshcat
 import numpy as np
+from paper_cell import RINGS, make_plant
 from pydrake.common.value import Value
 from pydrake.systems.analysis import Simulator
 
-from tofssm_drake.arms.cell_plant import make_cell_plant
-from tofssm_drake.messages import RINGS, MaskedScan, Reading, RingScan
+from tofssm_drake.messages import MaskedScan, Reading, RingScan
 import tofssm_drake.visualization.ring_rays as mut
 
 Q = np.array([0.3, -1.2, 1.1, -1.4, -1.6, 0.2])
@@ -32,11 +32,12 @@ class TestCalcBeamLengths(unittest.TestCase):
 class TestRingRays(unittest.TestCase):
     @classmethod
     def setUpClass(cls):
-        cls.plant = make_cell_plant()
+        cls.plant = make_plant()
 
     def setUp(self):
         self.meshcat = FakeMeshcat()
         self.dut = mut.RingRays(
+            rings=RINGS,
             meshcat=self.meshcat,
             plant=self.plant,
             fov=np.deg2rad(25),

@@ -72,7 +72,7 @@ class SensingProblem(LeafSystem):
         super().__init__()
         self._deadline = deadline
         self._separation = self.DeclareAbstractInputPort(
-            "separation", Value(make_empty_separation())
+            "separation", Value(make_empty_separation(()))
         )
         self.DeclareAbstractOutputPort(
             "problem",

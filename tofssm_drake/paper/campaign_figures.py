@@ -16,7 +16,9 @@ from matplotlib.patches import Patch
 import numpy as np
 
 from tofssm_drake.metrics.run_metrics import calc_nearest_distances
+from tofssm_drake.paper.campaign import Cell
 from tofssm_drake.paper.claims import SAFETY
+from tofssm_drake.paper.results import Results
 from tofssm_drake.recording.samples import Samples
 from tofssm_drake.reports.figures import (
     BLACK,
@@ -30,8 +32,6 @@ from tofssm_drake.reports.figures import (
     add_legend,
     thin,
 )
-from tofssm_drake.studies.campaign import Cell
-from tofssm_drake.studies.results import Results
 from tofssm_drake.studies.statistics import calc_confidence_ellipse
 
 SENSING_COLOUR = {

@@ -7,6 +7,12 @@ from pathlib import Path
 
 from tofssm_drake.errors import UserError
 from tofssm_drake.paper import campaign_figures
+from tofssm_drake.paper.campaign import (
+    VARIANTS,
+    Cell,
+    Plan,
+    get_run_folder,
+)
 from tofssm_drake.paper.campaign_figures import CONFIGURATION_NAME
 from tofssm_drake.paper.claims import (
     NO_VALUE,
@@ -18,6 +24,7 @@ from tofssm_drake.paper.claims import (
     check_claims,
 )
 from tofssm_drake.paper.explanations import join
+from tofssm_drake.paper.results import Results
 from tofssm_drake.recording.samples import (
     Samples,
     read_samples,
@@ -26,13 +33,6 @@ from tofssm_drake.recording.samples import (
 from tofssm_drake.reports import figures
 from tofssm_drake.reports.page import Picture, render_page
 from tofssm_drake.reports.report import count_of
-from tofssm_drake.studies.campaign import (
-    VARIANTS,
-    Cell,
-    Plan,
-    get_run_folder,
-)
-from tofssm_drake.studies.results import Results
 from tofssm_drake.studies.statistics import (
     Estimate,
     calc_rate_bound,

@@ -27,7 +27,7 @@ from tofssm_drake.paper.explanations import (
     make_cell,
     make_cells,
 )
-from tofssm_drake.studies.results import Results
+from tofssm_drake.paper.results import Results
 from tofssm_drake.studies.statistics import Estimate
 
 REPRODUCED = "reproduced"

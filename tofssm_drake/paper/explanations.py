@@ -8,8 +8,8 @@ sentences, and cells that were not run are not mentioned.
 import dataclasses as dc
 import math
 
-from tofssm_drake.studies.campaign import VARIANTS, Cell
-from tofssm_drake.studies.results import Results
+from tofssm_drake.paper.campaign import VARIANTS, Cell
+from tofssm_drake.paper.results import Results
 from tofssm_drake.studies.statistics import (
     calc_paired_difference,
     format_estimate,

@@ -15,7 +15,7 @@ arrived or were sent, and for a tick when its report arrived.
 """
 
 import collections
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 import dataclasses as dc
 import json
 import math
@@ -35,12 +35,11 @@ import numpy as np
 
 from tofssm_drake.errors import UserError
 from tofssm_drake.messages import (
-    RINGS,
     RingScan,
     RobotReport,
     SliderCommand,
 )
-from tofssm_drake.recording.run_schema import SCHEMAS
+from tofssm_drake.recording.run_schema import make_schemas
 
 _MAGIC = b"\x89MCAP0\r\n"
 _FLUSH_PERIOD = 0.25
@@ -138,20 +137,21 @@ class RecordedTick:
 def make_monitor_message(tick: RecordedTick) -> dict:
     """Returns a tick's message on `/monitor`: plain values, by name."""
     report, state = tick.report, tick.state
+    links = state["links"]
     message = {
         "time": tick.time,
         "robot_state": state["robot_state"],
-        "ring_state": dict(zip(RINGS, state["ring_states"], strict=True)),
+        "ring_state": dict(zip(links, state["ring_states"], strict=True)),
         "reason": state["reason"],
         "distance": {
             ring: d
-            for ring, d in zip(RINGS, state["distance"], strict=True)
+            for ring, d in zip(links, state["distance"], strict=True)
             if math.isfinite(d)
         },
-        "problem": dict(zip(RINGS, state["problem"], strict=True)),
+        "problem": dict(zip(links, state["problem"], strict=True)),
         "sample_age": {
             ring: tick.time - t
-            for ring, t in zip(RINGS, state["sample_time"], strict=True)
+            for ring, t in zip(links, state["sample_time"], strict=True)
             if math.isfinite(t)
         },
         "speed_fraction": state["speed_fraction"],
@@ -190,13 +190,21 @@ class RunRecorder:
         path: The file; an existing one is replaced when the run begins.
         run: Plain values from which the same monitor can be made again; None:
             not known yet, `add_run` follows.
+        links: Names of the watched links.
 
     Raises:
         UserError: The file cannot be written.
     """
 
-    def __init__(self, path: pathlib.Path, run: dict | None = None):
+    def __init__(
+        self,
+        path: pathlib.Path,
+        run: dict | None = None,
+        *,
+        links: Sequence[str],
+    ):
         self._path = path
+        self._schemas = make_schemas(links)
         self._error: OSError | None = None
         self._begun = False
         self._is_new = not path.exists()
@@ -319,7 +327,7 @@ class RunRecorder:
         schema = self._writer.register_schema(
             name=f"tofssm{topic.replace('/', '.')}",
             encoding="jsonschema",
-            data=json.dumps(SCHEMAS[topic]).encode(),
+            data=json.dumps(self._schemas[topic]).encode(),
         )
         return self._writer.register_channel(
             topic=topic, message_encoding="json", schema_id=schema

@@ -6,12 +6,12 @@ type, never null; an object has properties; an array has items of one type.
 Numbers with names (`oneOf` of constants) are shown by name.
 """
 
+from collections.abc import Sequence
 import enum
 
 import numpy as np
 
 from tofssm_drake.messages import (
-    RINGS,
     RingScan,
     RobotReport,
     RobotState,
@@ -65,67 +65,76 @@ _SCANS = {
     "items": _make_message(RingScan(), ring=_INTEGER),
 }
 
-SCHEMAS = {
-    "/run": _make_object(
-        ("slider_limit",),
-        version=_INTEGER,
-        epoch=_NUMBER,
-        command=_STRING,
-        scenario=_make_object(),
-        virtual_rings=_BOOLEAN,
-        dry_run=_BOOLEAN,
-        minimum_fraction=_NUMBER,
-        slider_limit=_NUMBER,
-        arm=_make_object(**dict.fromkeys(vars(ArmConfig()), _NUMBER)),
-    ),
-    "/tick": _make_object(
-        ("sent",),
-        time=_NUMBER,
-        clock_offset=_NUMBER,
-        report=_make_message(RobotReport()),
-        scans=_SCANS,
-        command=_make_message(SliderCommand()),
-        state=_make_object(
+
+def make_schemas(links: Sequence[str]) -> dict[str, dict]:
+    """Returns the schema by topic; the other topics are bytes.
+
+    Args:
+        links: Names of the watched links.
+    """
+    return {
+        "/run": _make_object(
+            ("slider_limit",),
+            version=_INTEGER,
+            epoch=_NUMBER,
+            command=_STRING,
+            scenario=_make_object(),
+            virtual_rings=_BOOLEAN,
+            dry_run=_BOOLEAN,
+            minimum_fraction=_NUMBER,
+            slider_limit=_NUMBER,
+            arm=_make_object(**dict.fromkeys(vars(ArmConfig()), _NUMBER)),
+        ),
+        "/tick": _make_object(
+            ("sent",),
+            time=_NUMBER,
+            clock_offset=_NUMBER,
+            report=_make_message(RobotReport()),
+            scans=_SCANS,
+            command=_make_message(SliderCommand()),
+            state=_make_object(
+                robot_state=_make_enum(RobotState),
+                links={"type": "array", "items": _STRING},
+                ring_states=_INTEGERS,
+                reason=_STRING,
+                speed_fraction=_NUMBER,
+                slider_phase=_make_enum(SliderPhase),
+                slider_reason=_STRING,
+                distance=_NUMBERS,
+                problem={"type": "array", "items": _STRING},
+                sample_time=_NUMBERS,
+            ),
+            sent=_NUMBER,
+            busy=_NUMBER,
+        ),
+        "/monitor": _make_object(
+            (
+                *("q", "qd", "slider_echoed", "speed_scaling", "tcp_speed"),
+                "answer_time",
+            ),
+            time=_NUMBER,
             robot_state=_make_enum(RobotState),
-            ring_states=_INTEGERS,
+            ring_state=_make_object(
+                **dict.fromkeys(links, _make_enum(RobotState))
+            ),
             reason=_STRING,
+            distance=_make_object(links, **dict.fromkeys(links, _NUMBER)),
+            problem=_make_object(**dict.fromkeys(links, _STRING)),
+            sample_age=_make_object(links, **dict.fromkeys(links, _NUMBER)),
             speed_fraction=_NUMBER,
+            slider_commanded=_NUMBER,
+            slider_echoed=_NUMBER,
             slider_phase=_make_enum(SliderPhase),
             slider_reason=_STRING,
-            distance=_NUMBERS,
-            problem={"type": "array", "items": _STRING},
-            sample_time=_NUMBERS,
+            q=_NUMBERS,
+            qd=_NUMBERS,
+            speed_scaling=_NUMBER,
+            tcp_speed=_NUMBER,
+            runtime_state=_INTEGER,
+            safety_mode=_INTEGER,
+            products_placed=_INTEGER,
+            missed=_INTEGER,
+            answer_time=_NUMBER,
+            busy=_NUMBER,
         ),
-        sent=_NUMBER,
-        busy=_NUMBER,
-    ),
-    "/monitor": _make_object(
-        (
-            *("q", "qd", "slider_echoed", "speed_scaling", "tcp_speed"),
-            "answer_time",
-        ),
-        time=_NUMBER,
-        robot_state=_make_enum(RobotState),
-        ring_state=_make_object(**dict.fromkeys(RINGS, _make_enum(RobotState))),
-        reason=_STRING,
-        distance=_make_object(RINGS, **dict.fromkeys(RINGS, _NUMBER)),
-        problem=_make_object(**dict.fromkeys(RINGS, _STRING)),
-        sample_age=_make_object(RINGS, **dict.fromkeys(RINGS, _NUMBER)),
-        speed_fraction=_NUMBER,
-        slider_commanded=_NUMBER,
-        slider_echoed=_NUMBER,
-        slider_phase=_make_enum(SliderPhase),
-        slider_reason=_STRING,
-        q=_NUMBERS,
-        qd=_NUMBERS,
-        speed_scaling=_NUMBER,
-        tcp_speed=_NUMBER,
-        runtime_state=_INTEGER,
-        safety_mode=_INTEGER,
-        products_placed=_INTEGER,
-        missed=_INTEGER,
-        answer_time=_NUMBER,
-        busy=_NUMBER,
-    ),
-}
-"""Schema by topic; the other topics are bytes."""
+    }

@@ -105,7 +105,8 @@ def add_overlay(
         word=[palette.STATE_WORD[s] for s in RobotState],
         run=make_run_data(samples),
         fps=fps,
-        has_beams=samples is None or bool(samples.scan),
+        has_beams=samples is None
+        or samples.metadata.get("sensing", "rings") in ("rings", "mixed"),
     )
     head, end, tail = page.rpartition("</body>")
     head = head.replace(

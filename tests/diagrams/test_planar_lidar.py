@@ -1,46 +1,43 @@
 """The lidar under the robot of the real cell."""
 
-import math
-
 import numpy as np
-from pydrake.geometry import SceneGraph
-from pydrake.math import RigidTransform
+from pydrake.systems.framework import DiagramBuilder
 import pytest
 
-from tofssm_drake.arms.cell_plant import make_twin_plant
 from tofssm_drake.arms.kinematics import RingKinematics
+from tofssm_drake.diagrams.monitor import make_twin
+from tofssm_drake.diagrams.scenario import load_scenario
+import tofssm_drake.diagrams.sensors.planar_lidar as mut
+from tofssm_drake.errors import UserError
 from tofssm_drake.metrics.ground_truth import TruthModel
-import tofssm_drake.perception.lidar_mount as mut
 from tofssm_drake.perception.twin import TwinPoses
+from tofssm_drake.poses import Pose
 from tofssm_drake.raycast.ray_caster import RayCaster
-from tofssm_drake.sensors.lidar_2d import Lidar2dConfig, calc_lidar_angles
-from tofssm_drake.tasks.products import ProductLayout
-from tofssm_drake.tasks.program import ProgramConfig, make_program_path
+from tofssm_drake.sensors.lidar_2d import calc_lidar_angles
+from tofssm_drake.tasks.program import make_program_path
 
 
 class Cell:
     def __init__(self):
-        self.config = Lidar2dConfig()
-        self.scene_graph = SceneGraph()
-        plant = self.plant = make_twin_plant(scene_graph=self.scene_graph)
-        self.kinematics = RingKinematics.from_plant(plant)
+        self.scenario = load_scenario(name="PlanarLidar")
+        twin = make_twin(DiagramBuilder(), self.scenario)
+        self.lidar = self.scenario.sensors["lidar"]
+        self.config = self.lidar.sensor
+        self.scene_graph = twin.scene_graph
+        self.plant = twin.plant
+        self.kinematics = twin.kinematics
         inspector = self.scene_graph.model_inspector()
         self.caster = RayCaster(inspector)
-        self.bundle = mut.make_base_lidar_bundle(
-            config=self.config,
-            caster=self.caster,
-            plant=plant,
-            inspector=inspector,
-            kinematics=self.kinematics,
+        self.bundle = mut.make_bundle(
+            "lidar", self.lidar, self.caster, self.plant, inspector
         )
-        program = ProgramConfig()
         self.twin = TwinPoses.from_plant(
-            plant,
-            layout=ProductLayout.from_config(program),
+            self.plant,
+            layout=twin.layout,
             frame_ids=self.caster.frame_ids,
             kinematics=self.kinematics,
         )
-        self.path = make_program_path(program, self.kinematics)
+        self.path = make_program_path(self.scenario.program, self.kinematics)
 
     def scan(self, s=0.0, closed=0.0, placed=0.0):
         """Casts the rays as the cell is at a path time."""
@@ -59,6 +56,7 @@ def test_background_is_the_tables_legs(cell):
         bundle=cell.bundle,
         twin=cell.twin,
         q=cell.path.calc_motion(0.0)[0],
+        where="here",
     )
     angles = calc_lidar_angles(cell.config)
     seen = np.isfinite(background)
@@ -94,8 +92,8 @@ def test_truth_is_from_the_lidar(cell, offset, expected):
         plant=cell.plant,
         inspector=cell.scene_graph.model_inspector(),
         radii=[0.1, 0.1],
-        kinematics=mut.make_lidar_kinematics(cell.config, cell.kinematics),
-        link_offset=offset,
+        kinematics=cell.kinematics,
+        link_offsets=offset,
     )
     assert dut.layout.num_rings == 1
     far = [*(0.0, 1.0, 0.3) * 2, *(0.0, 0.0, 9.0) * 2]
@@ -111,7 +109,7 @@ def test_truth_is_from_the_lidar(cell, offset, expected):
 
 
 def test_truth_s_link_stands_where_the_lidar_is(cell):
-    dut = mut.make_lidar_kinematics(cell.config, cell.kinematics)
+    dut = cell.kinematics
     assert dut.name == ("lidar",)
     rng = np.random.default_rng(1)
     q, qd = rng.uniform(-2, 2, (2, 6))
@@ -121,8 +119,28 @@ def test_truth_s_link_stands_where_the_lidar_is(cell):
     np.testing.assert_array_equal(v_WL, np.zeros((1, 3)))
     # The tool is the robot's.
     np.testing.assert_array_equal(
-        dut.calc_tcp_pose(q), cell.kinematics.calc_tcp_pose(q)
+        dut.calc_tcp_pose(q),
+        RingKinematics.from_plant(cell.plant).calc_tcp_pose(q),
     )
-    X_WS = mut.calc_lidar_pose(cell.config, cell.kinematics)
-    assert X_WS.IsNearlyEqualTo(RigidTransform([0, 0, 0.3]), 1e-12)
-    assert math.isclose(np.linalg.norm(p_WL), 0.3)
+
+
+def test_a_lidar_inside_of_something_is_an_error(cell):
+    lidar = mut.PlanarLidar(X_PS=Pose(translation=[0.0, 0.0, 0.3]), housing=[])
+    inspector = cell.scene_graph.model_inspector()
+    caster = RayCaster(inspector)
+    bundle = mut.make_bundle("lidar", lidar, caster, cell.plant, inspector)
+    with pytest.raises(UserError, match="here: the lidar is inside"):
+        mut.scan_background(
+            caster=caster,
+            bundle=bundle,
+            twin=cell.twin,
+            q=cell.path.calc_motion(0.0)[0],
+            where="here",
+        )
+
+
+def test_housing_must_be_in_the_cell(cell):
+    inspector = cell.scene_graph.model_inspector()
+    lidar = mut.PlanarLidar(housing=["cupboard"])
+    with pytest.raises(UserError, match="no model 'cupboard'"):
+        mut.make_bundle("lidar", lidar, cell.caster, cell.plant, inspector)

@@ -60,7 +60,8 @@ def _make_lidar_variant(key, rule, label, question):
         question=question,
         sensings=("lidar",),
         configurations=CONFIGURATIONS,
-        changes=f"{{lidar_separation: {{distance_rule: {rule}}}}}",
+        changes="{sensors: {lidar: {separation: "
+        f"{{distance_rule: {rule}}}}}}}",
     )
 
 
@@ -91,7 +92,8 @@ VARIANTS = {
             "how much is that eight beams see little?",
             sensings=("tof",),
             configurations=("vo",),
-            changes="{rings: {sensor: {ideal: true}}}",
+            changes="{sensors: {base: {sensor: {ideal: true}}, "
+            "elbow: {sensor: {ideal: true}}, tool: {sensor: {ideal: true}}}}",
         ),
         Variant(
             key="late",
@@ -100,7 +102,8 @@ VARIANTS = {
             "computing it takes 0.1 s?",
             sensings=("ideal",),
             configurations=CONFIGURATIONS,
-            changes="{ideal: {latency: 0.1}, ssm: {deadline: 0.2}}",
+            changes="{sensors: {motion_capture: {latency: 0.1}}, "
+            "ssm: {deadline: 0.2}}",
         ),
         _make_lidar_variant(
             "subtracted",

@@ -11,8 +11,8 @@ import pyarrow.parquet as pq
 from synthetic_campaign import make_rows, make_small_plan
 
 from tofssm_drake.errors import UserError
-import tofssm_drake.studies.campaign as mut
-from tofssm_drake.studies.results import Results
+import tofssm_drake.paper.campaign as mut
+from tofssm_drake.paper.results import Results
 
 
 def make_plan(**changes):

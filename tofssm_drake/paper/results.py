@@ -2,7 +2,7 @@
 
 import math
 
-from tofssm_drake.studies.campaign import ALONE, Cell
+from tofssm_drake.paper.campaign import ALONE, Cell
 from tofssm_drake.studies.statistics import (
     Estimate,
     calc_estimate,
