@@ -4,7 +4,7 @@ import itertools
 
 from bvh_writer import write_bvh
 import numpy as np
-from paper_cell import RINGS
+from paper_cell import RINGS, change_rings
 import pytest
 
 from tofssm_drake.diagrams.scenario import load_scenario
@@ -326,11 +326,11 @@ class TestPersonWhoStays:
 
 
 class TestBrokenSensing:
-    @pytest.mark.parametrize(("index", "ring"), list(enumerate(RINGS)))
-    def test_a_ring_that_never_delivers(self, run, looks, index, ring):
-        phases = [0.0, 0.0, 0.0]
-        phases[index] = 9.9
-        text = f"{{simulation_duration: 1.0, ring_phases: {phases}}}"
+    @pytest.mark.parametrize("ring", RINGS)
+    def test_a_ring_that_never_delivers(self, run, looks, ring):
+        text = (
+            f"{{simulation_duration: 1.0, sensors: {{{ring}: {{phase: 9.9}}}}}}"
+        )
         samples, summary = run("NoHuman", text)
         assert (samples["robot_state"] == RobotState.STOP).all()
         assert (samples["speed_fraction"] == 0.0).all()
@@ -344,7 +344,10 @@ class TestBrokenSensing:
 
     def test_samples_that_come_too_late(self, run):
         samples, _ = run(
-            "NoHuman", "{simulation_duration: 1.5, rings: {readout_time: 0.3}}"
+            "NoHuman",
+            "{simulation_duration: 1.5, "
+            + change_rings("{sensor: {readout_time: 0.3}}")
+            + "}",
         )
         assert (samples[f"{RINGS[0]}_sequence"] >= 0).any()
         assert (samples["robot_state"] == RobotState.STOP).all()
@@ -354,7 +357,11 @@ class TestBrokenSensing:
     def test_another_way_to_be_blind_is_no_licence(self, run):
         """Sensors that lose every second sample never free the robot more
         than good ones do, and most of the time they stop it."""
-        text = "{simulation_duration: 6.0, rings: {sensor: {dropout: 0.5}}}"
+        text = (
+            "{simulation_duration: 6.0, "
+            + change_rings("{sensor: {dropout: 0.5}}")
+            + "}"
+        )
         samples, _ = run("NoHuman", text)
         faulted = samples.ring("health") == RingHealth.FAULTED
         assert faulted.any()

@@ -6,6 +6,7 @@ import unittest
 
 from bvh_writer import write_bvh
 import numpy as np
+from paper_cell import change_rings
 import pyarrow.parquet as pq
 
 import tofssm_drake.diagrams.campaign_run as mut
@@ -15,6 +16,7 @@ from tofssm_drake.diagrams.scenario import (
     load_scenario,
     make_law,
 )
+from tofssm_drake.diagrams.sensors import MotionCapture
 from tofssm_drake.laws.config import CONFIGURATIONS
 from tofssm_drake.paper.campaign import (
     SENSINGS,
@@ -52,14 +54,23 @@ class TestScenario(unittest.TestCase):
 
     def test_sensing(self):
         for sensing, expected in (
-            ("tof", ("tof", 8)),
-            ("tof16", ("tof", 16)),
-            ("ideal", ("ideal", 8)),
-            ("lidar", ("lidar", 8)),
+            ("tof", "Default"),
+            ("tof16", "SixteenSensors"),
+            ("ideal", "MotionCapture"),
+            ("lidar", "PlanarLidar"),
         ):
             scenario = mut.make_run_scenario(self.base, make_run(sensing))
-            found = scenario.sensing, scenario.sensors_per_ring
-            self.assertEqual(found, expected)
+            self.assertEqual(
+                scenario.sensors, load_scenario(name=expected).sensors
+            )
+
+    def test_changed_rings_are_those_of_the_cells(self):
+        base = load_scenario(text=change_rings("{sensor: {dropout: 0.1}}"))
+        for sensing, count in (("tof", 8), ("tof16", 16)):
+            scenario = mut.make_run_scenario(base, make_run(sensing))
+            for ring in scenario.sensors.values():
+                self.assertEqual(ring.count, count)
+                self.assertEqual(ring.sensor.dropout, 0.1)
 
     def test_the_papers_table(self):
         for sensing, expected in (
@@ -101,15 +112,17 @@ class TestScenario(unittest.TestCase):
                         dump_scenario(changed), dump_scenario(plain)
                     )
                     # A late sample must not be taken for a lost one.
-                    self.assertGreaterEqual(
-                        changed.ssm.deadline, changed.ideal.latency + 0.1
-                    )
+                    for sensor in changed.sensors.values():
+                        if isinstance(sensor, MotionCapture):
+                            self.assertGreaterEqual(
+                                changed.ssm.deadline, sensor.latency + 0.1
+                            )
 
     def test_nobody_there(self):
         run = PlannedRun(cell=make_run("lidar", "sm").cell)
         scenario = mut.make_run_scenario(self.base, run)
         self.assertIsInstance(scenario.human, NoHuman)
-        self.assertEqual(scenario.sensing, "lidar")
+        self.assertEqual(list(scenario.sensors), ["lidar"])
 
     def test_recording(self):
         base = copy.deepcopy(self.base)

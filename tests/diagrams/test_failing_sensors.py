@@ -201,7 +201,9 @@ def test_half_of_a_ring_at_once(monitor, position):
 
 def test_a_sensor_declared_dead_slows_the_robot(position):
     monitor = make_monitor(
-        load_scenario(text=f"{{dead_sensors: {{tool: [0]}}, {NO_WATCH}}}")
+        load_scenario(
+            text=f"{{sensors: {{tool: {{dead_sensors: [0]}}}}, {NO_WATCH}}}"
+        )
     )
     watch = Watch(monitor, position)
     watch.tell(253, 0.2)

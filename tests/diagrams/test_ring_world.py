@@ -1,6 +1,6 @@
 import unittest
 
-from paper_cell import RINGS
+from paper_cell import RINGS, change_rings
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import ConstantVectorSource
@@ -13,7 +13,7 @@ from tofssm_drake.diagrams.station import make_station
 class TestRingWorld(unittest.TestCase):
     def test_sees_what_the_stations_rings_see(self):
         """Of the same report of a robot, bit by bit."""
-        scenario = load_scenario(text="{rings: {sensor: {ideal: true}}}")
+        scenario = load_scenario(text=change_rings("{sensor: {ideal: true}}"))
         builder = DiagramBuilder()
         station = builder.AddSystem(make_station(scenario).diagram)
         world = builder.AddSystem(make_ring_world(scenario))

@@ -1,3 +1,4 @@
+import dataclasses as dc
 import json
 from pathlib import Path
 import tempfile
@@ -16,8 +17,11 @@ _slow: &slow
   speed: 0.9
 Cell:
   random_seed: 4
-  sensors_per_ring: 16
-  ring_phases: [0.0, 0.008, 0.016]
+  sensors:
+    wrist: !Ring
+      parent: ur10::tool0
+      count: 16
+      dead_sensors: [3]
   human: !GeneratedWalk
     <<: *slow
     stature: 1.6
@@ -40,9 +44,11 @@ class TestLoad(unittest.TestCase):
     def load(self, name="Cell", text=""):
         return mut.load_scenario(filename=self.filename, name=name, text=text)
 
-    def test_defaults_are_those_of_the_dataclass(self):
-        self.assertEqual(mut.load_scenario(), mut.Scenario())
-        self.assertEqual(self.load("Empty"), mut.Scenario())
+    def test_every_scenario_starts_from_the_default(self):
+        default = mut.load_scenario()
+        self.assertEqual(list(default.sensors), ["base", "elbow", "tool"])
+        self.assertEqual(dc.replace(default, sensors={}), mut.Scenario())
+        self.assertEqual(self.load("Empty"), default)
 
     def test_names_are_in_the_files_order(self):
         self.assertEqual(
@@ -53,8 +59,9 @@ class TestLoad(unittest.TestCase):
     def test_file_overrides_defaults(self):
         scenario = self.load()
         self.assertEqual(scenario.random_seed, 4)
-        self.assertEqual(scenario.sensors_per_ring, 16)
-        self.assertEqual(scenario.ring_phases, [0.0, 0.008, 0.016])
+        # The paper's rings are not among them.
+        self.assertEqual(list(scenario.sensors), ["wrist"])
+        self.assertEqual(scenario.sensors["wrist"].count, 16)
         self.assertEqual(scenario.human, GeneratedWalk(speed=0.9, stature=1.6))
         self.assertEqual(scenario.ssm.configuration, "vr")
         self.assertEqual(scenario.ssm.C_dC, 0.4)
@@ -69,7 +76,58 @@ class TestLoad(unittest.TestCase):
         self.assertEqual(scenario.ssm.C_dC, 0.5)
         self.assertEqual(scenario.ssm.configuration, "vr")
         self.assertEqual(scenario.human, GeneratedWalk(speed=1.5, stature=1.6))
-        self.assertEqual(scenario.sensors_per_ring, 16)
+        self.assertEqual(scenario.sensors["wrist"].count, 16)
+
+    def test_text_changes_sensors_by_name(self):
+        scenario = self.load(
+            text="{sensors: {wrist: {radius: 0.05, sensor: {dropout: 0.1}}, "
+            "low: !PlanarLidar {sensor: {period: 0.05}}}}"
+        )
+        self.assertEqual(list(scenario.sensors), ["wrist", "low"])
+        wrist = scenario.sensors["wrist"]
+        self.assertEqual((wrist.count, wrist.radius), (16, 0.05))
+        self.assertEqual(wrist.dead_sensors, [3])
+        self.assertEqual(wrist.sensor.dropout, 0.1)
+        scenario = mut.change_scenario(
+            scenario, "{sensors: {low: {housing: [pedestal]}}}", source="text"
+        )
+        self.assertEqual(scenario.sensors["low"].housing, ["pedestal"])
+        self.assertEqual(scenario.sensors["low"].sensor.period, 0.05)
+
+    def test_keys_of_before_name_the_new_one(self):
+        for text, new in (
+            ("sensing: lidar", "sensors, e.g. of the scenario MotionCapture"),
+            ("sensors_per_ring: 16", "sensors.<ring>.count"),
+            ("rings: {readout_time: 0.1}", "sensors.<ring>.sensor"),
+            ("dead_sensors: {tool: [1]}", "sensors.<ring>.dead_sensors"),
+        ):
+            key = text.partition(":")[0]
+            with (
+                self.subTest(key),
+                self.assertRaisesRegex(
+                    UserError, f"--scenario-text:1: {key}: is now {new}"
+                ),
+            ):
+                self.load(text=text)
+
+    def test_sensors_are_checked(self):
+        for text, message in (
+            ("{x: {count: 3}}", "sensors.x.parent: name the frame"),
+            ("{wrist: {count: 65}}", "sensors.wrist.count: 65 is out of range"),
+            ("{wrist: {count: 3}}", r"wrist.dead_sensors: \[3\] must be diff"),
+            ("{a b: {parent: tool0}}", "sensors: 'a b' must be a name"),
+            ("{x: !Radar {}}", "sensors.x: unknown kind !Radar; one of !Ring"),
+            (
+                "{m: !MotionCapture {links: {wrist: {parent: tool0}}}}",
+                "sensors.m: another sensor has a link called 'wrist'",
+            ),
+            ("{m: !MotionCapture {}}", "sensors.m.links: name what it watches"),
+            ("{m: !PlanarLidar {parent: ''}}", "sensors.m.parent: name a fr"),
+        ):
+            with self.subTest(text), self.assertRaisesRegex(UserError, message):
+                self.load(text=f"sensors: {text}")
+        with self.assertRaisesRegex(UserError, "sensors: there is none"):
+            mut.Scenario().check()
 
     def test_text_changes_the_kind_of_person(self):
         self.assertEqual(
@@ -91,7 +149,6 @@ class TestLoad(unittest.TestCase):
         override(
             scenario,
             ssm="vo",
-            sensors_per_ring=8,
             human_motion=Path("walk.bvh"),
             seed=0,
             duration=3.0,
@@ -99,7 +156,6 @@ class TestLoad(unittest.TestCase):
         self.assertEqual(scenario.random_seed, 0)
         self.assertEqual(scenario.ssm.configuration, "vo")
         self.assertEqual(scenario.ssm.C_dC, 0.5)
-        self.assertEqual(scenario.sensors_per_ring, 8)
         self.assertEqual(scenario.simulation_duration, 3.0)
         self.assertEqual(scenario.human, BvhRecording(filename="walk.bvh"))
 
@@ -119,9 +175,9 @@ class TestLoad(unittest.TestCase):
 
     def test_two_loads_share_nothing(self):
         one, other = self.load(), self.load()
-        one.ring_phases[0] = 1.0
+        one.sensors["wrist"].dead_sensors[0] = 1
         one.ssm.C_dC = 9.0
-        self.assertEqual(other.ring_phases[0], 0.0)
+        self.assertEqual(other.sensors["wrist"].dead_sensors, [3])
         self.assertEqual(other.ssm.C_dC, 0.4)
 
 
@@ -132,7 +188,10 @@ class TestDump(unittest.TestCase):
             ("Default", "{human: {figure_eight: {centre: [1.2, 1e-3]}}}"),
             ("Default", "{ssm: {configuration: sm}, random_seed: 4294967295}"),
             ("Default", "{human: !BvhRecording {filename: a, end_time: 3}}"),
-            ("Default", "{rings: {sensor: {wrap_probability: 1.0e-9}}}"),
+            (
+                "Default",
+                "{sensors: {tool: {sensor: {wrap_probability: 1.0e-9}}}}",
+            ),
         ):
             with self.subTest(name=name, text=text):
                 scenario = mut.load_scenario(name=name, text=text)

@@ -14,7 +14,8 @@ from test_connections import (
 
 from tofssm_drake.diagrams.monitor import make_monitor
 from tofssm_drake.diagrams.scenario import (
-    SENSINGS,
+    Scenario,
+    change_scenario,
     dump_scenario,
     load_scenario,
     make_law,
@@ -29,16 +30,16 @@ from tofssm_drake.metrics.run_metrics import calc_run_metrics
 from tofssm_drake.reports.report import make_report
 
 JOINTS = {"position_measured", "velocity_measured"}
-SEEN = {"ideal": "skeleton", "lidar": "scan_lidar"}
+SEEN = {"MotionCapture": "skeleton", "PlanarLidar": "scan_lidar"}
 OTHERS = tuple(SEEN)
 
 
 @functools.cache
 def make(sensing, human=True):
-    text = f"sensing: {sensing}\nsimulation_duration: {2.4 if human else 0.6}\n"
+    text = f"simulation_duration: {2.4 if human else 0.6}\n"
     if not human:
         text += "human: !NoHuman {}\n"
-    scenario = load_scenario(text=text)
+    scenario = load_scenario(name=sensing, text=text)
     return scenario, make_workcell(scenario)
 
 
@@ -66,7 +67,7 @@ class TestPorts:
             for name in get_outputs(workcell.station.diagram)
             if name.startswith("scan")
         }
-        assert scans == ({"scan_lidar"} if sensing == "lidar" else set())
+        assert scans == ({"scan_lidar"} if sensing == "PlanarLidar" else set())
 
     @pytest.mark.parametrize("sensing", OTHERS)
     def test_no_feedthrough(self, sensing):
@@ -87,61 +88,67 @@ class TestPorts:
         } == {("station", name) for name in {*JOINTS, SEEN[sensing]}}
 
     def test_the_person_is_seen_by_the_lidar_alone(self):
-        station = make("lidar")[1].station.diagram
+        station = make("PlanarLidar")[1].station.diagram
         reached = find_reached(find_connections(station), "human")
         assert reached == {"scene_graph", "lidar"}
 
     def test_ideal_sensing_has_to_know_the_person(self):
         with pytest.raises(ValueError, match="person_radii"):
-            make_monitor(load_scenario(text="sensing: ideal"))
+            make_monitor(load_scenario(name="MotionCapture"))
 
     def test_lidar_inside_of_the_robot(self):
-        scenario = load_scenario(text="{sensing: lidar, lidar: {height: 0.9}}")
-        with pytest.raises(UserError, match=r"lidar.height: .* inside"):
+        scenario = load_scenario(
+            name="PlanarLidar",
+            text="{sensors: {lidar: {X_PS: {translation: [0, 0, 0.9]}}}}",
+        )
+        with pytest.raises(UserError, match=r"sensors.lidar.X_PS: .* inside"):
             make_monitor(scenario)
 
 
 class TestLaw:
     def test_lidar_s_distances_grow_by_the_workspace(self):
-        law = make_law(load_scenario(text="sensing: lidar"))
+        law = make_law(load_scenario(name="PlanarLidar"))
         assert (law.C_dC, law.d_C_sm, law.d_R_sm) == (1.12, 1.32, 1.92)
 
     def test_unless_its_rule_takes_it_off(self):
         for rule in ("subtracted", "literal"):
             law = make_law(
                 load_scenario(
-                    text="{sensing: lidar, "
-                    f"lidar_separation: {{distance_rule: {rule}}}}}"
+                    name="PlanarLidar",
+                    text="{sensors: {lidar: {separation: "
+                    f"{{distance_rule: {rule}}}}}}}}}",
                 )
             )
             assert (law.C_dC, law.d_C_sm, law.d_R_sm) == (0.3, 0.5, 1.1)
 
     def test_the_others_have_the_law_as_it_is(self):
-        for sensing in ("tof", "ideal"):
-            scenario = load_scenario(text=f"sensing: {sensing}")
-            assert make_law(scenario) is scenario.ssm
+        for name in ("Default", "MotionCapture"):
+            scenario = load_scenario(name=name)
+            assert make_law(scenario) == scenario.ssm
 
 
 class TestScenario:
-    @pytest.mark.parametrize("sensing", SENSINGS)
+    @pytest.mark.parametrize("sensing", ["Default", *OTHERS])
     def test_dump_and_load(self, sensing):
-        scenario = load_scenario(text=f"sensing: {sensing}")
-        assert scenario.sensing == sensing
+        scenario = load_scenario(name=sensing)
         values = dump_scenario(scenario)
-        assert load_scenario(text=str(values)) == scenario
-
-    def test_default(self):
-        assert load_scenario().sensing == "tof"
+        assert change_scenario(Scenario(), str(values), source="x") == scenario
 
     @pytest.mark.parametrize(
         ("text", "message"),
         [
-            ("sensing: radar", "sensing: 'radar' is unknown, use one of tof"),
-            ("ideal: {latency: -1}", "ideal.latency: -1.0 is out of range"),
-            ("lidar: {hight: 1}", "lidar.hight: unknown key; .*'height'"),
             (
-                "lidar_separation: {distance_rule: subtract}",
-                "lidar_separation.distance_rule: 'subtract' is unknown",
+                "sensors: {m: !MotionCapture {latency: -1}}",
+                "sensors.m.latency: -1.0 is out of range",
+            ),
+            (
+                "sensors: {m: !PlanarLidar {hosing: [a]}}",
+                "sensors.m.hosing: unknown key; .*'housing'",
+            ),
+            (
+                "sensors: {m: !PlanarLidar {separation: "
+                "{distance_rule: subtract}}}",
+                "sensors.m.separation.distance_rule: 'subtract' is unknown",
             ),
             ("audit: {V_h: -1}", "audit.V_h: -1.0 is out of range"),
         ],
@@ -153,13 +160,17 @@ class TestScenario:
 
 class TestRuns:
     @pytest.mark.parametrize(
-        ("sensing", "links"), [("ideal", RINGS), ("lidar", ("lidar",))]
+        ("sensing", "links", "words"),
+        [
+            ("MotionCapture", RINGS, "motion capture"),
+            ("PlanarLidar", ("lidar",), "planar lidar"),
+        ],
     )
-    def test_record(self, sensing, links):
+    def test_record(self, sensing, links, words):
         samples = run(sensing)
         assert samples.rings == links
         assert samples.scan == {}
-        assert samples.metadata["sensing"] == sensing
+        assert samples.metadata["sensing"] == words
         # It moves, and it sees the person and reacts.
         assert samples["speed_fraction"].max() > 0.4
         assert (samples["robot_state"][100:] != RobotState.NORMAL).any()
@@ -169,7 +180,7 @@ class TestRuns:
         assert calc_audit(samples) is not None
 
     def test_ideal_is_the_truth_of_the_tick_before(self):
-        samples = run("ideal")
+        samples = run("MotionCapture")
         measured = samples.ring("measured_distance")
         true = samples.ring("true_distance")
         assert np.isnan(measured[0]).all()
@@ -184,7 +195,7 @@ class TestRuns:
 
     def test_lidar_sees_a_leg_and_no_more(self):
         """Not nearer than the nearest point of the person, except for noise."""
-        samples = run("lidar")
+        samples = run("PlanarLidar")
         measured = samples["lidar_measured_distance"]
         true = samples["lidar_true_distance"]
         seen = np.isfinite(measured)
@@ -202,11 +213,11 @@ class TestRuns:
         assert samples["lidar_sensor"].max() > 127
 
     def test_offsets_of_the_links(self):
-        offsets = run("ideal").metadata["link_offset_m"]
+        offsets = run("MotionCapture").metadata["link_offset_m"]
         assert offsets == pytest.approx(
             {"base": 0.075, "elbow": 0.065, "tool": 0.070}
         )
-        assert run("lidar").metadata["link_offset_m"] == {"lidar": 0.82}
+        assert run("PlanarLidar").metadata["link_offset_m"] == {"lidar": 0.82}
 
     @pytest.mark.parametrize("sensing", OTHERS)
     def test_report(self, sensing):
@@ -214,9 +225,10 @@ class TestRuns:
         page = make_report(samples, calc_summary(samples))
         assert "Three rings" not in page
         assert "Audit against the standard" in page
-        assert {"ideal": "tool link", "lidar": "A lidar at its base"}[
-            sensing
-        ] in page
+        assert {
+            "MotionCapture": "tool link",
+            "PlanarLidar": "A lidar at its base",
+        }[sensing] in page
 
     @pytest.mark.parametrize("sensing", OTHERS)
     def test_nobody(self, sensing):
@@ -229,12 +241,12 @@ class TestRuns:
             assert np.isinf(measured).all()
 
     def test_same_scenario_same_samples(self):
-        scenario, workcell = make("lidar")
+        scenario, workcell = make("PlanarLidar")
         again = Run(workcell=workcell, scenario=scenario)
         for _ in range(5):
             again.advance()
         part = again.make_samples()
-        whole = run("lidar")
+        whole = run("PlanarLidar")
         for name, values in part.column.items():
             if values.dtype != object:
                 np.testing.assert_array_equal(

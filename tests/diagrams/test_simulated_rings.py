@@ -51,7 +51,9 @@ class TestWakeTimes(unittest.TestCase):
         )
 
     def test_rings_in_turns(self):
-        scenario = load_scenario(text="{ring_phases: [0, 0.008, 0.016]}")
+        scenario = load_scenario(
+            text="{sensors: {elbow: {phase: 0.008}, tool: {phase: 0.016}}}"
+        )
         times = list(itertools.islice(mut.iterate_wake_times(scenario), 100))
         self.assertEqual(times, sorted(times))
         np.testing.assert_allclose(
@@ -85,8 +87,7 @@ class TestSimulatedRings(unittest.TestCase):
         return LoopbackRingLink(
             decoder=RingDecoder(
                 config=RingLinkConfig(min_delay=0.0),
-                num_sensors=8,
-                timing_budget=self.scenario.rings.sensor.timing_budget,
+                rings=self.scenario.sensors,
             )
         )
 

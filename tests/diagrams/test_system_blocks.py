@@ -6,13 +6,12 @@ import pkgutil
 import unittest
 
 import numpy as np
-from paper_cell import RINGS
+from paper_cell import RINGS, find_kinematics, make_rings
 from pydrake.geometry import Meshcat
 from pydrake.systems.framework import Diagram, LeafSystem
 import yaml
 
 import tofssm_drake
-from tofssm_drake.arms.kinematics import RingKinematics
 import tofssm_drake.arms.sim_ur10 as sim_ur10
 from tofssm_drake.diagrams.hardware_station import make_hardware_station
 from tofssm_drake.diagrams.held_connections import HeldRobot
@@ -117,12 +116,13 @@ class TestSystemBlocks(unittest.TestCase):
             plant=station.plant,
             inspector=station.scene_graph.model_inspector(),
             radii=station.avatar.radii,
+            kinematics=find_kinematics(station.plant),
         )
         lidar_config = Lidar2dConfig()
         caster = RayCaster(station.scene_graph.model_inspector())
         bundle = make_lidar_bundle(config=lidar_config, caster=caster)
         lidar = Lidar2d(config=lidar_config, caster=caster, bundle=bundle)
-        kinematics = RingKinematics.from_plant(station.plant)
+        kinematics = find_kinematics(station.plant)
         ideal_separation = IdealSeparation(
             name=RINGS,
             config=IdealSeparationConfig(),
@@ -137,9 +137,7 @@ class TestSystemBlocks(unittest.TestCase):
         connection = NullConnection()
         interface = RingInterfaceSystem(
             connection=NullRingLink(
-                decoder=RingDecoder(
-                    config=RingLinkConfig(), num_sensors=8, timing_budget=0.02
-                )
+                decoder=RingDecoder(config=RingLinkConfig(), rings=make_rings())
             )
         )
         return [

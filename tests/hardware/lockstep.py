@@ -247,7 +247,7 @@ class Cell:
                         kind="restart",
                         ring=ring,
                         start=0.0,
-                        end=self.time + self.scenario.rings.period,
+                        end=self.time + 0.024,
                     )
                 ]
             )

@@ -23,9 +23,9 @@ from pydrake.geometry import SceneGraph
 assert tofssm_drake.__file__.startswith(sys.argv[1]), tofssm_drake.__file__
 assert len(list_scenarios()) > 3
 scenario = load_scenario()
-for sensors in (8, 16):
+for name in ("Default", "SixteenSensors"):
     plant = make_cell_plant(
-        sensors_per_ring=sensors,
+        sensors=load_scenario(name=name).sensors,
         products=scenario.program.products,
         scene_graph=SceneGraph(),
     )

@@ -5,6 +5,7 @@ import time
 import unittest
 
 import numpy as np
+from paper_cell import make_rings
 
 from tofssm_drake.errors import UserError
 from tofssm_drake.messages import RingScan
@@ -25,8 +26,7 @@ def make_decoder(**changes):
     config = RingLinkConfig(settle_time=0.0, max_earliness=1.0)
     return RingDecoder(
         config=dc.replace(config, **changes),
-        num_sensors=8,
-        timing_budget=_BUDGET,
+        rings=make_rings(),
     )
 
 

@@ -3,6 +3,7 @@ import unittest
 from unittest import mock
 
 import numpy as np
+from paper_cell import make_rings
 
 from tofssm_drake.errors import UserError
 from tofssm_drake.messages import Reading, RingScan
@@ -400,8 +401,7 @@ class TestRingDecoder(unittest.TestCase):
     def make_decoder(self, **changes):
         return mut.RingDecoder(
             config=mut.RingLinkConfig(settle_time=0.0, **changes),
-            num_sensors=8,
-            timing_budget=_BUDGET,
+            rings=make_rings(),
         )
 
     def make_frame(self, ring, sequence):
@@ -489,12 +489,13 @@ class TestRingDecoder(unittest.TestCase):
         ):
             with self.assertRaisesRegex(UserError, message):
                 self.make_decoder(**changes)
-        with self.assertRaisesRegex(UserError, "sensors_per_ring: 9"):
-            mut.RingDecoder(
-                config=mut.RingLinkConfig(),
-                num_sensors=9,
-                timing_budget=_BUDGET,
-            )
+        self.make_decoder(ring_numbers=[7, 255, 0])
+
+    def test_without_numbers_rings_are_counted(self):
+        config = mut.RingLinkConfig()
+        self.assertEqual(
+            mut.find_ring_numbers(config, ("a", "b")), {"a": 0, "b": 1}
+        )
 
 
 if __name__ == "__main__":

@@ -2,7 +2,7 @@ import dataclasses as dc
 import unittest
 
 import numpy as np
-from paper_cell import RINGS
+from paper_cell import RINGS, make_rings
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import ConstantVectorSource
@@ -44,8 +44,7 @@ def make_decoder(**changes):
     config = RingLinkConfig(settle_time=0.0, min_delay=0.0)
     return RingDecoder(
         config=dc.replace(config, **changes),
-        num_sensors=8,
-        timing_budget=_BUDGET,
+        rings=make_rings(),
     )
 
 

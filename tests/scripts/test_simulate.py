@@ -10,7 +10,7 @@ import time
 
 from bvh_writer import write_bvh
 import numpy as np
-from paper_cell import RINGS
+from paper_cell import RINGS, change_rings
 import pytest
 
 import tofssm_drake.diagrams.simulation as simulation
@@ -209,7 +209,6 @@ class TestOptions:
         summary, samples = check_readable(
             full_run / "out", files=FILES | {"recording.html"}
         )
-        assert summary["scenario"]["sensors_per_ring"] == 16
         for ring in RINGS:
             assert samples.scan[ring]["distance"].shape[1] == 16
             counts = [
@@ -219,17 +218,19 @@ class TestOptions:
             assert set(np.sum(counts, axis=0)[-10:]) == {16}
 
     @pytest.mark.parametrize(
-        ("sensing", "links"), [("ideal", RINGS), ("lidar", ("lidar",))]
+        ("name", "links"),
+        [("MotionCapture", RINGS), ("PlanarLidar", ("lidar",))],
     )
-    def test_sensing(self, tmp_path, sensing, links):
-        assert run("--sensing", sensing, *SHORT, "--out", tmp_path) == 0
+    def test_other_sensors(self, tmp_path, name, links):
+        assert run("--scenario-name", name, *SHORT, "--out", tmp_path) == 0
         summary = read_summary(tmp_path)
-        assert summary["scenario"]["sensing"] == sensing
+        (sensor,) = summary["scenario"]["sensors"].values()
+        assert sensor["kind"] == name
         samples = read_samples(tmp_path)
         assert samples.rings == links
         for link in links:
             assert np.isfinite(samples[f"{link}_measured_distance"][-1])
-            assert samples.scan[link]["time"].shape == (0,)
+            assert link not in samples.scan
 
     def test_human_motion(self, full_run):
         summary = read_summary(full_run / "out")
@@ -243,7 +244,7 @@ class TestOptions:
         scenario = read_summary(full_run / "out")["scenario"]
         # Text over file, option over both, the rest of the file kept.
         assert scenario["random_seed"] == 2
-        assert scenario["rings"]["sensor"]["ideal"] is True
+        assert scenario["sensors"]["tool"]["sensor"]["ideal"] is True
 
     def test_an_old_recording_is_not_taken_for_this_runs(
         self, tmp_path, capsys
@@ -295,18 +296,21 @@ BAD_INPUT = {
     ),
     "unknown_kind": (_text("{human: !Robot {}}"), "!GeneratedWalk"),
     "wrong_type": (
-        _text("{sensors_per_ring: eight}"),
-        "sensors_per_ring: must be a whole number, not 'eight'",
+        _text("{sensors: {tool: {count: eight}}}"),
+        "sensors.tool.count: must be a whole number, not 'eight'",
     ),
     "wrong_type_in_a_file": (
         _file("Cell:\n  mask: 3\n"),
         "cell.yaml:2: Cell.mask: must be a mapping",
     ),
-    "number_for_a_list": (_text("{ring_phases: 1}"), "must be a list"),
+    "number_for_a_list": (
+        _text("{human: {figure_eight: {centre: 1}}}"),
+        "must be a list",
+    ),
     "out_of_range": (_text("{human: {speed: 9}}"), "human.speed: 9"),
     "out_of_range_deep": (
-        _text("{rings: {sensor: {usable_range: 0.01}}}"),
-        "rings.sensor.usable_range: 0.01 is out of range; use 0.05 to 4",
+        _text("{sensors: {tool: {sensor: {usable_range: 0.01}}}}"),
+        "sensors.tool.sensor.usable_range: 0.01 is out of range; use 0.05 to 4",
     ),
     "out_of_reach": (
         _text("{program: {pick_center: [0.0, -3.0, 0.7]}}"),
@@ -362,25 +366,21 @@ BAD_INPUT = {
         _text("{ssm: {configuration: vx}}"),
         "ssm.configuration: 'vx' is unknown",
     ),
-    "unknown_sensing": (
-        ("--sensing", "radar"),
-        "--sensing: 'radar' is unknown, use one of tof, ideal, lidar",
+    "key_of_before": (
+        _text("{sensing: lidar}"),
+        "sensing: is now sensors, e.g. of the scenario MotionCapture or Planar",
     ),
-    "unknown_sensing_in_text": (
-        _text("{sensing: radar}"),
-        "sensing: 'radar' is unknown",
-    ),
-    "nine_sensors": (
-        ("--sensors-per-ring", "9"),
-        "--sensors-per-ring: no ring model with 9 sensors; there are 8, 16",
-    ),
-    "no_sensors": (
-        ("--sensors-per-ring", "0"),
-        "--sensors-per-ring: no ring model with 0 sensors; there are 8, 16",
+    "too_many_sensors": (
+        _text("{sensors: {tool: {count: 65}}}"),
+        "sensors.tool.count: 65 is out of range; use 1 to 64",
     ),
     "no_sensors_in_a_file": (
-        _file("Cell:\n  sensors_per_ring: 0\n"),
-        "sensors_per_ring: no ring model with 0 sensors; there are 8, 16",
+        _file("Cell:\n  sensors: {}\n"),
+        "sensors: there is none; without a sensor the robot cannot see",
+    ),
+    "sensor_on_nothing": (
+        _text("{sensors: {tool: {parent: hand}}}"),
+        "sensors.tool.parent: the robot has no frame 'hand'",
     ),
     "arm_too_slow": (
         _text("{program: {arm_speed: 0.5}}"),
@@ -412,8 +412,8 @@ BAD_INPUT = {
     "octal": (_text("{random_seed: 010}"), "which YAML reads as 8"),
     "list_as_a_key": (_text("{? [1,2] : 3}"), "a key must be a word"),
     "number_for_text": (
-        _text("{sensing: 3}"),
-        "--scenario-text:1: sensing: must be text, not '3'; write it in",
+        _text("{sensors: {tool: {parent: 3}}}"),
+        "--scenario-text:1: sensors.tool.parent: must be text, not '3'; write",
     ),
     "number_for_units": (
         _text("{human: !BvhRecording {filename: a.bvh, units: 0}}"),
@@ -629,7 +629,10 @@ class TestInterruption:
         # A robot that waits for its rings for ever is never done.
         command = [
             *(sys.executable, "-m", "tofssm_drake.scripts.main", "simulate"),
-            *("--scenario-text", "{rings: {readout_time: 1.0}}"),
+            *(
+                "--scenario-text",
+                "{" + change_rings("{sensor: {readout_time: 1.0}}") + "}",
+            ),
             *("--duration", "80000", "--no-recording", "--out"),
         ]
         runs = {}

@@ -10,7 +10,7 @@ import sys
 import time
 import unittest
 
-from paper_cell import RINGS
+from paper_cell import RINGS, make_rings
 import pytest
 
 from tofssm_drake.ringlink.ring_address import parse_ring_address
@@ -43,9 +43,7 @@ def start(*arguments):
 def open_link(address):
     return RingLink(
         addresses=[parse_ring_address(address)],
-        decoder=RingDecoder(
-            config=RingLinkConfig(), num_sensors=8, timing_budget=0.020
-        ),
+        decoder=RingDecoder(config=RingLinkConfig(), rings=make_rings()),
     )
 
 
