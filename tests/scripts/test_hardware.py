@@ -630,7 +630,6 @@ class TestHardware(unittest.TestCase):
         with serve(robot) as server:
             for options, message in (
                 (("--human-motion", "/nope.bvh"), "/nope.bvh"),
-                (("--sensors-per-ring", 9), "--sensors-per-ring"),
                 (("--control-period", "nan"), "--control-period"),
                 (("--control-period", "inf"), "--control-period"),
                 (("--slider-limit", "nan"), "--slider-limit"),

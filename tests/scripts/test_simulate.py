@@ -167,9 +167,12 @@ def full_run(tmp_path_factory):
     bvh = write_bvh(folder / "walk.bvh")
     (folder / "out").mkdir()
     code = run(
-        *("--duration", 0.4, "--sensors-per-ring", 16),
+        *("--duration", 0.4),
         *("--human-motion", bvh, "--scenario-name", "IdealSensors"),
-        *("--scenario-text", "{human: {speed: 1.1}, random_seed: 2}"),
+        "--scenario-text",
+        "{human: {speed: 1.1}, random_seed: 2, "
+        + change_rings("{count: 16}")
+        + "}",
         *("--graphviz", folder / "cell.dot", "--out", folder / "out"),
     )
     assert code == 0
@@ -183,7 +186,7 @@ class TestOptions:
         assert page.rstrip().endswith("</html>")
         # What was changed is told, too.
         assert "<title>tofssm_drake: IdealSensors, " in page
-        assert "sensors-per-ring 16, human-motion walk.bvh" in page
+        assert "human-motion walk.bvh" in page
         data = page.partition("const run = ")[2].partition(";\n")[0]
         data = json.loads(data)
         assert data["end"] == pytest.approx(0.4)
@@ -205,8 +208,8 @@ class TestOptions:
         for name in ("station", "monitor", "recorder"):
             assert name in dot
 
-    def test_sensors_per_ring(self, full_run):
-        summary, samples = check_readable(
+    def test_sixteen_sensors(self, full_run):
+        _, samples = check_readable(
             full_run / "out", files=FILES | {"recording.html"}
         )
         for ring in RINGS:
@@ -262,7 +265,6 @@ class TestOptions:
             "--scenario-name",
             "--scenario-text",
             "--ssm",
-            "--sensors-per-ring",
             "--human-motion",
             "--seed",
             "--duration",
@@ -503,7 +505,7 @@ class TestBadInput:
         done = subprocess.run(
             [
                 *(sys.executable, "-m", "tofssm_drake.scripts.main"),
-                *("simulate", "--sensors-per-ring", "9"),
+                *("simulate", "--scenario-text", "{random_seed: -9}"),
             ],
             cwd=tmp_path,
             capture_output=True,
