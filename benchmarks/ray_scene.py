@@ -24,12 +24,12 @@ from pydrake.systems.framework import DiagramBuilder
 
 from tofssm_drake.arms.cell_plant import make_cell_plant
 from tofssm_drake.arms.kinematics import RingKinematics
+from tofssm_drake.diagrams.people import make_person_motion
 from tofssm_drake.diagrams.scenario import load_scenario
 from tofssm_drake.diagrams.sensors.rings import find_rings
 from tofssm_drake.people.avatar import HumanAvatar
 from tofssm_drake.people.motion import capsule_ends
 from tofssm_drake.people.skeleton import calc_capsule_poses
-from tofssm_drake.people.walk import make_walk
 from tofssm_drake.perception.twin import TwinPoses
 from tofssm_drake.raycast.ray_caster import RayCaster
 from tofssm_drake.raycast.triangle_mesh import read_mesh
@@ -65,7 +65,9 @@ class Scene:
 
     def __init__(self, *, sensors: int, meshes: bool):
         scenario = load_scenario(name="Default")
-        motion = make_walk(scenario.human, scenario.control_period)
+        motion = make_person_motion(
+            scenario.people["visitor"], scenario.control_period
+        )
         rings = find_rings(scenario.sensors)
         for ring in rings.values():
             ring.count = sensors

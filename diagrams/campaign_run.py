@@ -7,7 +7,6 @@ import tempfile
 
 from tofssm_drake.diagrams.run_metadata import describe_scenario
 from tofssm_drake.diagrams.scenario import (
-    NoHuman,
     Scenario,
     change_scenario,
     load_scenario,
@@ -56,10 +55,11 @@ def make_run_scenario(
             scenario, VARIANTS[cell.variant].changes, source=cell.key
         )
     if trial is None:
-        scenario.human = NoHuman()
+        scenario.people = {}
         return scenario
     scenario.random_seed = trial.seed
-    path = copy.deepcopy(scenario.human.figure_eight)
+    ((name, person),) = scenario.people.items()
+    path = copy.deepcopy(person.figure_eight)
     path.start = trial.start
     path.reverse = trial.reverse
     path.centre = [
@@ -68,11 +68,12 @@ def make_run_scenario(
     path.half_length *= trial.half_length
     path.half_width *= trial.half_width
     if motion is None:
-        scenario.human = GeneratedWalk(
+        person = GeneratedWalk(
             speed=trial.speed, stature=trial.stature, figure_eight=path
         )
     else:
-        scenario.human = BvhRecording(filename=motion, figure_eight=path)
+        person = BvhRecording(filename=motion, figure_eight=path)
+    scenario.people = {name: person}
     return scenario
 
 
@@ -113,7 +114,8 @@ def execute(
         if motion is not None:
             path = Path(folder) / motion[0]
             path.write_bytes(motion[1])
-            scenario.human.filename = str(path)
+            for person in scenario.people.values():
+                person.filename = str(path)
         workcell = make_workcell(scenario)
         simulation = Run(workcell=workcell, scenario=scenario)
         progress = simulation.advance()
@@ -122,7 +124,8 @@ def execute(
         samples = simulation.make_samples()
         if motion is not None:
             # The path on this machine is of no use elsewhere.
-            scenario.human.filename = motion[0]
+            for person in scenario.people.values():
+                person.filename = motion[0]
             samples.metadata["scenario"] = describe_scenario(scenario)
         files = {
             path.name: path.read_bytes()

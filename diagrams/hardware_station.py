@@ -8,7 +8,7 @@ from pydrake.systems.primitives import ConstantVectorSource
 from tofssm_drake.arms.kinematics import RingKinematics
 from tofssm_drake.diagrams.held_connections import HeldRings, HeldRobot
 from tofssm_drake.diagrams.ring_world import add_ring_world, make_scene
-from tofssm_drake.diagrams.scenario import NoHuman, Scenario, make_law
+from tofssm_drake.diagrams.scenario import Scenario, make_law
 from tofssm_drake.diagrams.sensors.rings import find_rings
 from tofssm_drake.diagrams.station import Station
 from tofssm_drake.laws.sensing_problem import SensingProblem
@@ -97,7 +97,7 @@ def make_hardware_station(
     seen = scenario
     if rings is not None:
         # Nobody is simulated whom the twin could see.
-        seen = dc.replace(scenario, human=NoHuman())
+        seen = dc.replace(scenario, people={}, obstacles={})
     scene_graph, plant = make_scene(builder, seen)
     subscriber, receiver, commanded = _add_robot(
         builder,
@@ -128,7 +128,7 @@ def make_hardware_station(
     for name in _REPORTED:
         builder.ExportOutput(receiver.GetOutputPort(name), name)
     builder.ExportOutput(scene_graph.get_query_output_port(), "geometry_query")
-    builder.ExportOutput(world.skeleton, "skeleton")
+    builder.ExportOutput(world.people.skeleton, "skeleton")
     diagram = builder.Build()
     diagram.set_name("station")
     path = make_program_path(scenario.program, RingKinematics.from_plant(plant))
@@ -136,7 +136,7 @@ def make_hardware_station(
         diagram=diagram,
         plant=plant,
         scene_graph=scene_graph,
-        avatar=world.avatar,
+        people=world.people,
         nominal_duration=path.duration,
         robot=robot,
         rings=rings,

@@ -10,7 +10,6 @@ from pydrake.systems.framework import (
     OutputPort,
 )
 from pydrake.systems.primitives import (
-    ConstantVectorSource,
     Multiplexer,
     PassThrough,
 )
@@ -18,11 +17,9 @@ from pydrake.systems.rendering import MultibodyPositionToGeometryPose
 
 from tofssm_drake.arms.cell_plant import make_cell_plant
 from tofssm_drake.arms.kinematics import RingKinematics
-from tofssm_drake.diagrams.scenario import NoHuman, Scenario
+from tofssm_drake.diagrams.people import People, add_people
+from tofssm_drake.diagrams.scenario import Scenario
 from tofssm_drake.diagrams.sensors import World, add_sensors_to_world
-from tofssm_drake.people.avatar import HumanAvatar
-from tofssm_drake.people.bvh import BvhRecording, make_bvh_motion
-from tofssm_drake.people.walk import make_walk
 from tofssm_drake.raycast.ray_caster import RayCaster
 from tofssm_drake.tasks.products import ProductCarrier, ProductLayout
 
@@ -34,10 +31,7 @@ class RingWorld:
     plant: MultibodyPlant
     """Robot, cell and products as registered with `scene_graph`."""
     scene_graph: SceneGraph
-    avatar: HumanAvatar | None
-    """The person; None: nobody is there."""
-    skeleton: OutputPort
-    """Where the person is."""
+    people: People
 
 
 def make_scene(builder: DiagramBuilder, scenario: Scenario):
@@ -88,12 +82,13 @@ def add_ring_world(
     }
     layout = ProductLayout.from_config(scenario.program)
     _show_robot_and_products(builder, layout, scene_graph, plant, report)
-    avatar = _add_avatar(builder, scenario, scene_graph)
-    if avatar is None:
-        person = builder.AddNamedSystem("nobody", ConstantVectorSource([]))
-        skeleton = person.get_output_port()
-    else:
-        skeleton = avatar.GetOutputPort("skeleton")
+    people = add_people(
+        builder,
+        scene_graph,
+        scenario.people,
+        scenario.obstacles,
+        scenario.control_period,
+    )
     if with_sensors:
         world = World(
             builder=builder,
@@ -103,9 +98,7 @@ def add_ring_world(
             random_seed=scenario.random_seed,
         )
         add_sensors_to_world(world, scenario.sensors)
-    return RingWorld(
-        plant=plant, scene_graph=scene_graph, avatar=avatar, skeleton=skeleton
-    )
+    return RingWorld(plant=plant, scene_graph=scene_graph, people=people)
 
 
 def make_ring_world(scenario: Scenario) -> Diagram:
@@ -150,7 +143,7 @@ def make_ring_world(scenario: Scenario) -> Diagram:
         **report,
     )
     builder.ExportOutput(scene_graph.get_query_output_port(), "geometry_query")
-    builder.ExportOutput(world.skeleton, "skeleton")
+    builder.ExportOutput(world.people.skeleton, "skeleton")
     diagram = builder.Build()
     diagram.set_name("ring_world")
     return diagram
@@ -179,21 +172,3 @@ def _show_robot_and_products(builder, layout, scene_graph, plant, report):
         poses.get_output_port(),
         scene_graph.get_source_pose_port(plant.get_source_id()),
     )
-
-
-def _add_avatar(builder, scenario, scene_graph):
-    """Adds the person, if there is one."""
-    if isinstance(scenario.human, NoHuman):
-        return None
-    if isinstance(scenario.human, BvhRecording):
-        motion = make_bvh_motion(scenario.human, scenario.control_period)
-    else:
-        motion = make_walk(scenario.human, scenario.control_period)
-    avatar = builder.AddNamedSystem(
-        "human", HumanAvatar(scene_graph=scene_graph, motion=motion)
-    )
-    builder.Connect(
-        avatar.GetOutputPort("geometry_pose"),
-        scene_graph.get_source_pose_port(avatar.source_id),
-    )
-    return avatar

@@ -55,7 +55,11 @@ def make_run_metadata(
         "ssm": scenario.ssm.configuration,
         "sensing": describe_sensing(scenario),
         "seed": scenario.random_seed,
-        "human": type(scenario.human).__name__,
+        "human": ", ".join(
+            f"{name} ({type(person).__name__})"
+            for name, person in scenario.people.items()
+        )
+        or "nobody",
         "products": scenario.program.products,
         "sensors_per_ring": {n: ring.num_sensors for n, ring in rings.items()},
         "dead_sensors": {
@@ -64,7 +68,7 @@ def make_run_metadata(
             if ring.dead_sensors
         },
         "robot_bodies": robot_bodies,
-        "person_parts": [capsule.name for capsule in CAPSULES],
+        "person_parts": _name_parts(scenario.people),
         "ring_geometry": _describe_rings(rings, station),
         "audit": make_audit_metadata(
             config=scenario.audit,
@@ -87,6 +91,15 @@ def get_versions() -> dict[str, str]:
     """Returns the versions that a result depends on."""
     versions = {name: importlib.metadata.version(name) for name in _PACKAGES}
     return versions | {"python": platform.python_version()}
+
+
+def _name_parts(people):
+    """Returns names for the indices in the column `person_part`."""
+    return [
+        f"{name}'s {capsule.name}" if len(people) > 1 else capsule.name
+        for name in people
+        for capsule in CAPSULES
+    ] or [capsule.name for capsule in CAPSULES]
 
 
 def describe_sensing(scenario: Scenario) -> str:

@@ -28,6 +28,8 @@ from tofssm_drake.errors import UserError, require
 from tofssm_drake.laws.config import SsmConfig
 from tofssm_drake.metrics.standards import AuditConfig
 from tofssm_drake.people.bvh import BvhRecording
+from tofssm_drake.people.custom_motion import CustomMotion
+from tofssm_drake.people.moving_box import MovingBox
 from tofssm_drake.people.walk import GeneratedWalk
 from tofssm_drake.perception.occlusion_mask import OcclusionMaskConfig
 from tofssm_drake.perception.self_hits import SelfHitConfig
@@ -38,6 +40,7 @@ _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 
 # Keys of before, and what they are called now.
 _OLD_KEYS = {
+    "human": "people.<name>",
     "sensors_per_ring": "sensors.<ring>.count",
     "sensing": "sensors, e.g. of the scenario MotionCapture or PlanarLidar",
     "rings": "sensors.<ring>.sensor",
@@ -47,14 +50,6 @@ _OLD_KEYS = {
     "lidar": "sensors.<name>: !PlanarLidar",
     "lidar_separation": "sensors.<name>.separation of a !PlanarLidar",
 }
-
-
-@dc.dataclass(kw_only=True)
-class NoHuman:
-    """Nobody is in the cell."""
-
-    def check(self, where: str) -> None:
-        """Does nothing."""
 
 
 @dc.dataclass(kw_only=True)
@@ -82,10 +77,13 @@ class Scenario:
     # The task: where the products are and how fast the arm moves.
     program: ProgramConfig = dc.field(default_factory=ProgramConfig)
 
-    # Who is in the cell.
-    human: GeneratedWalk | BvhRecording | NoHuman = dc.field(
-        default_factory=GeneratedWalk
+    # Who is in the cell, by name.
+    people: dict[str, GeneratedWalk | BvhRecording | CustomMotion] = dc.field(
+        default_factory=dict
     )
+
+    # What else moves in the cell and is seen, e.g. a cart.
+    obstacles: dict[str, MovingBox] = dc.field(default_factory=dict)
 
     # What watches the person, by name.
     sensors: dict[str, Ring | PlanarLidar | MotionCapture] = dc.field(
@@ -131,6 +129,10 @@ class Scenario:
             "to 0.1 s",
         )
         self._check_sensors(f"{at}sensors")
+        for group in ("people", "obstacles"):
+            for name, member in getattr(self, group).items():
+                _check_name(name, f"{at}{group}")
+                member.check(f"{at}{group}.{name}")
         for field in dc.fields(self):
             value = getattr(self, field.name)
             if dc.is_dataclass(value):
@@ -145,10 +147,7 @@ class Scenario:
             "anybody",
         )
         for name, sensor in self.sensors.items():
-            require(
-                _NAME.fullmatch(name) is not None,
-                f"{at}: {name!r} must be a name of letters, digits and _",
-            )
+            _check_name(name, at)
             sensor.check(f"{at}.{name}")
         find_link_frames(self.sensors)
 
@@ -161,6 +160,14 @@ class Scenario:
             f"{at}robot.time_step: control_period ({tick}) must be a multiple "
             f"of it, got {self.robot.time_step}",
         )
+
+
+def _check_name(name, at):
+    """Raises UserError unless a name can be that of a system."""
+    require(
+        _NAME.fullmatch(name) is not None,
+        f"{at}: {name!r} must be a name of letters, digits and _",
+    )
 
 
 def find_links(scenario: Scenario) -> tuple[str, ...]:
@@ -314,11 +321,13 @@ def _change(settings, node, source, where, *, replace):
         source: Where they are from, for the message.
         where: Path of keys, for the message.
         replace: Whether a mapping of names (sensors) replaces the one in
-            `settings`; else it changes the names that it has.
+            `settings`; else it changes the names that it has, and removes
+            those that are null.
     """
     if type(settings) is Scenario:
         _refuse_old_keys(node, source, where)
     if not replace:
+        settings = _remove_names(node, settings)
         _keep_kinds(node, settings)
     check_yaml(node, type(settings), source, where)
     return _load(source, node, settings, retain_map_defaults=not replace)
@@ -331,6 +340,32 @@ def _refuse_old_keys(node, source, where):
             line = child.start_mark.line + 1
             path = f"{where}.{key}" if where else key
             raise UserError(f"{source}:{line}: {path}: is now {_OLD_KEYS[key]}")
+
+
+def _remove_names(node, settings):
+    """Returns settings without the names that a node maps to null.
+
+    Args:
+        node: Of the changes; those names are taken out of it.
+        settings: A dataclass.
+    """
+    removed = {}
+    for key, child in get_children(node).items():
+        now = getattr(settings, key, None)
+        if not isinstance(now, dict) or not isinstance(child, yaml.MappingNode):
+            continue
+        gone = {
+            name.value
+            for name, value in child.value
+            if value.tag == "tag:yaml.org,2002:null"
+        }
+        child.value = [
+            (name, value)
+            for name, value in child.value
+            if name.value not in gone
+        ]
+        removed[key] = {n: v for n, v in now.items() if n not in gone}
+    return dc.replace(settings, **removed) if removed else settings
 
 
 def _keep_kinds(node, settings):
@@ -360,8 +395,8 @@ def _keep_kinds(node, settings):
 def dump_scenario(scenario: Scenario) -> dict:
     """Returns a scenario as plain values, with every setting.
 
-    A tag in YAML (`human: !NoHuman {}`) becomes a key `kind`. `load_scenario`
-    reads that as well, so the values give the same run again.
+    A tag in YAML (`visitor: !GeneratedWalk {}`) becomes a key `kind`.
+    `load_scenario` reads that as well, so the values give the same run again.
     """
     return _dump(scenario, Scenario)
 

@@ -8,9 +8,9 @@ from pydrake.systems.framework import Diagram, DiagramBuilder
 
 from tofssm_drake.arms.kinematics import RingKinematics
 from tofssm_drake.arms.sim_ur10 import make_sim_ur10
+from tofssm_drake.diagrams.people import People
 from tofssm_drake.diagrams.ring_world import add_ring_world, make_scene
 from tofssm_drake.diagrams.scenario import Scenario
-from tofssm_drake.people.avatar import HumanAvatar
 from tofssm_drake.tasks.program import PickAndPlaceProgram
 
 
@@ -23,8 +23,8 @@ class Station:
     """Robot, cell and products as registered with `scene_graph`."""
     scene_graph: SceneGraph
     """The world that the rings see."""
-    avatar: HumanAvatar | None
-    """The person of the port `skeleton`; None: nobody is there."""
+    people: People
+    """Those of the port `skeleton`."""
     nominal_duration: float
     """Duration of the task at full speed, s."""
 
@@ -101,7 +101,7 @@ def make_station(scenario: Scenario) -> Station:
     for name in ("gripper_closed", "products_placed", "task_done"):
         builder.ExportOutput(program.GetOutputPort(name), name)
     builder.ExportOutput(scene_graph.get_query_output_port(), "geometry_query")
-    builder.ExportOutput(world.skeleton, "skeleton")
+    builder.ExportOutput(world.people.skeleton, "skeleton")
 
     diagram = builder.Build()
     diagram.set_name("station")
@@ -109,6 +109,6 @@ def make_station(scenario: Scenario) -> Station:
         diagram=diagram,
         plant=plant,
         scene_graph=scene_graph,
-        avatar=world.avatar,
+        people=world.people,
         nominal_duration=program.path.duration,
     )

@@ -70,11 +70,10 @@ def make_workcell(
     if station is None:
         station = make_station(scenario)
     builder.AddSystem(station.diagram)
-    avatar = station.avatar
     monitor = builder.AddSystem(
         make_monitor(
             scenario,
-            person_radii=[] if avatar is None else avatar.radii,
+            person_radii=station.people.radii,
         )
     )
     for i in range(monitor.num_input_ports()):
@@ -94,14 +93,13 @@ def make_workcell(
 
 
 def _add_recorder(builder, scenario, station, monitor):
-    avatar = station.avatar
     truth = _make_truth(scenario, station)
     rings = find_rings(scenario.sensors)
     recorder = builder.AddNamedSystem(
         "recorder",
         SampleRecorder(
             truth=truth,
-            motion=None if avatar is None else avatar.motion,
+            motions=station.people.motions,
             period=scenario.control_period,
             rings=find_links(scenario),
             num_sensors={n: ring.num_sensors for n, ring in rings.items()},
@@ -143,7 +141,8 @@ def _make_truth(scenario, station):
     return TruthModel(
         plant=station.plant,
         inspector=station.scene_graph.model_inspector(),
-        radii=[] if station.avatar is None else station.avatar.radii,
+        radii=station.people.radii,
+        people=len(station.people.avatars),
         kinematics=RingKinematics.from_plant(station.plant, links=frames),
         link_offsets=np.array(list(offsets.values())),
     )

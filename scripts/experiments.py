@@ -291,15 +291,17 @@ def make_command(
 def require_free(scenario: Scenario) -> None:
     """Raises UserError if the text changes what cells or trials decide."""
     default = load_scenario()
-    human = copy.deepcopy(default.human)
-    human.figure_eight = getattr(scenario.human, "figure_eight", None)
+    people = copy.deepcopy(default.people)
+    for name, person in people.items():
+        changed = scenario.people.get(name)
+        person.figure_eight = getattr(changed, "figure_eight", None)
     for name, same in {
         "sensors": [(n, type(s)) for n, s in scenario.sensors.items()]
         == [(n, type(s)) for n, s in default.sensors.items()],
         "random_seed": scenario.random_seed == default.random_seed,
         "ssm.configuration": scenario.ssm.configuration
         == default.ssm.configuration,
-        "human": scenario.human == human,
+        "people": scenario.people == people,
     }.items():
         require(
             same,

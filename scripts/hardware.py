@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from tofssm_drake.diagrams.hardware_run import require_control_period
-from tofssm_drake.diagrams.scenario import NoHuman, load_scenario
+from tofssm_drake.diagrams.scenario import load_scenario
 from tofssm_drake.diagrams.sensors.rings import find_rings
 from tofssm_drake.errors import require
 from tofssm_drake.ringlink.ring_address import (
@@ -166,7 +166,7 @@ def hardware(
         "simulations",
     )
     if not is_virtual:
-        scenario.human = NoHuman()
+        scenario.people = {}
     checks = options.make_robot_checks(checks_text, allow_no_pose=allow_no_pose)
     slider = _make_slider_config(minimum_fraction, slider_limit, scenario)
     slider.arm = checks.arm

@@ -203,10 +203,17 @@ def override(
         scenario.ssm.configuration = _choose("--ssm", ssm, CONFIGURATIONS)
     changed = {}
     if human_motion is not None:
-        if not isinstance(scenario.human, BvhRecording):
-            scenario.human = BvhRecording()
-        scenario.human.filename = str(human_motion)
-        changed["human.filename"] = "--human-motion"
+        require(
+            len(scenario.people) == 1,
+            f"--human-motion: is for one person, the scenario has "
+            f"{len(scenario.people)}",
+        )
+        ((name, person),) = scenario.people.items()
+        if not isinstance(person, BvhRecording):
+            person = BvhRecording()
+        scenario.people = {name: person}
+        person.filename = str(human_motion)
+        changed[f"people.{name}.filename"] = "--human-motion"
     if seed is not None:
         scenario.random_seed = seed
         changed["random_seed"] = "--seed"

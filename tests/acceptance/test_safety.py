@@ -296,12 +296,13 @@ def standing(run, tmp_path_factory):
         return run(
             text=f"""
 simulation_duration: {duration}
-human: !BvhRecording
-  filename: {recording}
-  placement: in_place
-  position: {list(position)}
-  heading_deg: 180.0
-  end_time: 0.2
+people:
+  visitor: !BvhRecording
+    filename: {recording}
+    placement: in_place
+    position: {list(position)}
+    heading_deg: 180.0
+    end_time: 0.2
 """
         )
 

@@ -11,7 +11,6 @@ import pyarrow.parquet as pq
 
 import tofssm_drake.diagrams.campaign_run as mut
 from tofssm_drake.diagrams.scenario import (
-    NoHuman,
     dump_scenario,
     load_scenario,
     make_law,
@@ -86,8 +85,8 @@ class TestScenario(unittest.TestCase):
     def test_the_same_person_in_every_cell(self):
         people = [
             dump_scenario(mut.make_run_scenario(self.base, make_run(s, c)))[
-                "human"
-            ]
+                "people"
+            ]["visitor"]
             for s in SENSINGS
             for c in CONFIGURATIONS
         ]
@@ -121,16 +120,16 @@ class TestScenario(unittest.TestCase):
     def test_nobody_there(self):
         run = PlannedRun(cell=make_run("lidar", "sm").cell)
         scenario = mut.make_run_scenario(self.base, run)
-        self.assertIsInstance(scenario.human, NoHuman)
+        self.assertEqual(scenario.people, {})
         self.assertEqual(list(scenario.sensors), ["lidar"])
 
     def test_recording(self):
         base = copy.deepcopy(self.base)
-        base.human.figure_eight.half_length = 1.4
+        base.people["visitor"].figure_eight.half_length = 1.4
         scenario = mut.make_run_scenario(base, make_run(), "walk.bvh")
-        self.assertEqual(scenario.human.filename, "walk.bvh")
+        self.assertEqual(scenario.people["visitor"].filename, "walk.bvh")
         self.assertAlmostEqual(
-            scenario.human.figure_eight.half_length,
+            scenario.people["visitor"].figure_eight.half_length,
             1.4 * make_trial(0, 1).half_length,
         )
 

@@ -97,7 +97,7 @@ class TestRobot(unittest.TestCase):
 
     @classmethod
     def setUpClass(cls):
-        cls.scenario = load_scenario(text="{human: !NoHuman {}}")
+        cls.scenario = load_scenario(text="{people: {visitor: null}}")
 
     def make_bench(self):
         self.sent = []
@@ -161,7 +161,7 @@ class TestScans(unittest.TestCase):
     """Rings that are not virtual; scans come now and then."""
 
     def make_bench(self):
-        scenario = load_scenario(text="{human: !NoHuman {}}")
+        scenario = load_scenario(text="{people: {visitor: null}}")
         loop = HardwareLoop(scenario=scenario, virtual_rings=False)
         bench = Bench(loop, scenario)
         bench.scans = (RingScan(),) * len(RINGS)

@@ -32,7 +32,7 @@ class TestHardwareStation(unittest.TestCase):
         self.assertEqual(inputs[-1][0], "separation")
         self.assertEqual(outputs, simulated[1])
         # A real person is unknown.
-        nobody = load_scenario(text="{human: !NoHuman {}}")
+        nobody = load_scenario(text="{people: {visitor: null}}")
         simulated = describe_ports(make_station(nobody).diagram)
         real = make_hardware_station(
             scenario, robot=HeldRobot(), rings=HeldRings(RINGS)

@@ -22,15 +22,16 @@ Cell:
       parent: ur10::tool0
       count: 16
       dead_sensors: [3]
-  human: !GeneratedWalk
-    <<: *slow
-    stature: 1.6
+  people:
+    visitor: !GeneratedWalk
+      <<: *slow
+      stature: 1.6
   ssm:
     configuration: vr
     C_dC: 0.4
 Empty: {}
 Nobody:
-  human: !NoHuman {}
+  people: {}
 """
 
 
@@ -47,7 +48,9 @@ class TestLoad(unittest.TestCase):
     def test_every_scenario_starts_from_the_default(self):
         default = mut.load_scenario()
         self.assertEqual(list(default.sensors), ["base", "elbow", "tool"])
-        self.assertEqual(dc.replace(default, sensors={}), mut.Scenario())
+        self.assertEqual(list(default.people), ["visitor"])
+        plain = dc.replace(default, sensors={}, people={})
+        self.assertEqual(plain, mut.Scenario())
         self.assertEqual(self.load("Empty"), default)
 
     def test_names_are_in_the_files_order(self):
@@ -62,7 +65,9 @@ class TestLoad(unittest.TestCase):
         # The paper's rings are not among them.
         self.assertEqual(list(scenario.sensors), ["wrist"])
         self.assertEqual(scenario.sensors["wrist"].count, 16)
-        self.assertEqual(scenario.human, GeneratedWalk(speed=0.9, stature=1.6))
+        self.assertEqual(
+            scenario.people["visitor"], GeneratedWalk(speed=0.9, stature=1.6)
+        )
         self.assertEqual(scenario.ssm.configuration, "vr")
         self.assertEqual(scenario.ssm.C_dC, 0.4)
         self.assertEqual(scenario.ssm.T_stop, mut.Scenario().ssm.T_stop)
@@ -70,12 +75,15 @@ class TestLoad(unittest.TestCase):
 
     def test_text_overrides_file_and_keeps_the_rest(self):
         scenario = self.load(
-            text="{random_seed: 5, ssm: {C_dC: 0.5}, human: {speed: 1.5}}"
+            text="{random_seed: 5, ssm: {C_dC: 0.5}, "
+            "people: {visitor: {speed: 1.5}}}"
         )
         self.assertEqual(scenario.random_seed, 5)
         self.assertEqual(scenario.ssm.C_dC, 0.5)
         self.assertEqual(scenario.ssm.configuration, "vr")
-        self.assertEqual(scenario.human, GeneratedWalk(speed=1.5, stature=1.6))
+        self.assertEqual(
+            scenario.people["visitor"], GeneratedWalk(speed=1.5, stature=1.6)
+        )
         self.assertEqual(scenario.sensors["wrist"].count, 16)
 
     def test_text_changes_sensors_by_name(self):
@@ -130,12 +138,10 @@ class TestLoad(unittest.TestCase):
             mut.Scenario().check()
 
     def test_text_changes_the_kind_of_person(self):
+        self.assertEqual(self.load(text="people: {visitor: null}").people, {})
         self.assertEqual(
-            self.load(text="human: !NoHuman {}").human, mut.NoHuman()
-        )
-        self.assertEqual(
-            self.load("Nobody", text="human: !GeneratedWalk {}").human,
-            GeneratedWalk(),
+            self.load("Nobody", text="people: {a: !GeneratedWalk {}}").people,
+            {"a": GeneratedWalk()},
         )
 
     def test_options_override_text(self):
@@ -157,15 +163,18 @@ class TestLoad(unittest.TestCase):
         self.assertEqual(scenario.ssm.configuration, "vo")
         self.assertEqual(scenario.ssm.C_dC, 0.5)
         self.assertEqual(scenario.simulation_duration, 3.0)
-        self.assertEqual(scenario.human, BvhRecording(filename="walk.bvh"))
+        self.assertEqual(
+            scenario.people["visitor"], BvhRecording(filename="walk.bvh")
+        )
 
     def test_option_keeps_the_recordings_other_settings(self):
         scenario = self.load(
-            text="human: !BvhRecording {filename: a.bvh, placement: own_path}"
+            text="people: {visitor: "
+            "!BvhRecording {filename: a.bvh, placement: own_path}}"
         )
         override(scenario, human_motion=Path("b.bvh"))
         self.assertEqual(
-            scenario.human,
+            scenario.people["visitor"],
             BvhRecording(filename="b.bvh", placement="own_path"),
         )
 
@@ -185,9 +194,15 @@ class TestDump(unittest.TestCase):
     def test_what_is_dumped_loads_as_the_same(self):
         for name, text in (
             *((name, "") for name in mut.list_scenarios()),
-            ("Default", "{human: {figure_eight: {centre: [1.2, 1e-3]}}}"),
+            (
+                "Default",
+                "{people: {visitor: {figure_eight: {centre: [1.2, 1e-3]}}}}",
+            ),
             ("Default", "{ssm: {configuration: sm}, random_seed: 4294967295}"),
-            ("Default", "{human: !BvhRecording {filename: a, end_time: 3}}"),
+            (
+                "Default",
+                "{people: {visitor: !BvhRecording {filename: a, end_time: 3}}}",
+            ),
             (
                 "Default",
                 "{sensors: {tool: {sensor: {wrap_probability: 1.0e-9}}}}",
@@ -203,15 +218,15 @@ class TestDump(unittest.TestCase):
                 ):
                     again = mut.load_scenario(text=written)
                     self.assertEqual(again, scenario)
-                    self.assertEqual(type(again.human), type(scenario.human))
+                    self.assertEqual(again.people, scenario.people)
 
     def test_every_setting_is_written_out(self):
         values = mut.dump_scenario(mut.Scenario())
         self.assertEqual(set(values), set(vars(mut.Scenario())))
-        self.assertEqual(values["human"]["kind"], "GeneratedWalk")
+        values = mut.dump_scenario(mut.load_scenario())
+        self.assertEqual(values["people"]["visitor"]["kind"], "GeneratedWalk")
+        self.assertEqual(values["sensors"]["tool"]["kind"], "Ring")
         self.assertEqual(values["ssm"]["C_dC"], 0.3)
-        values = mut.dump_scenario(mut.Scenario(human=mut.NoHuman()))
-        self.assertEqual(values["human"], {"kind": "NoHuman"})
 
 
 class TestCheck(unittest.TestCase):

@@ -38,7 +38,7 @@ OTHERS = tuple(SEEN)
 def make(sensing, human=True):
     text = f"simulation_duration: {2.4 if human else 0.6}\n"
     if not human:
-        text += "human: !NoHuman {}\n"
+        text += "people: {visitor: null}\n"
     scenario = load_scenario(name=sensing, text=text)
     return scenario, make_workcell(scenario)
 

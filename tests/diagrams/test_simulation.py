@@ -13,7 +13,7 @@ from tofssm_drake.recording.samples import read_samples, write_samples
 # The person starts close by, so that the rings have something to measure.
 _TEXT = """
 simulation_duration: 1.0
-human: {figure_eight: {start: 0.0}}
+people: {visitor: {figure_eight: {start: 0.0}}}
 """
 
 

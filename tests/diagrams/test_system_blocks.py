@@ -115,7 +115,7 @@ class TestSystemBlocks(unittest.TestCase):
         model = TruthModel(
             plant=station.plant,
             inspector=station.scene_graph.model_inspector(),
-            radii=station.avatar.radii,
+            radii=station.people.radii,
             kinematics=find_kinematics(station.plant),
         )
         lidar_config = Lidar2dConfig()
@@ -127,7 +127,7 @@ class TestSystemBlocks(unittest.TestCase):
             name=RINGS,
             config=IdealSeparationConfig(),
             kinematics=kinematics,
-            radii=station.avatar.radii,
+            radii=station.people.radii,
         )
         lidar_separation = LidarSeparation(
             config=LidarSeparationConfig(),

@@ -21,7 +21,7 @@ from tofssm_drake.rtde.rtde_client import RtdeClient
 from tofssm_drake.rtde.rtde_config import RtdeConfig
 from tofssm_drake.rtde.rtde_fields import RuntimeState
 
-NOBODY = "{human: !NoHuman {}}"
+NOBODY = "{people: {visitor: null}}"
 _MAIN = ("-m", "tofssm_drake.scripts.main")
 # Starts a runner that tolerates a busy computer.
 PATIENT = (Path(__file__).parent / "patient_runner.py",)

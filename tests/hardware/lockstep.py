@@ -140,7 +140,7 @@ class Cell:
     """
 
     def __init__(self, *, checks_model: bool = True):
-        self.scenario = load_scenario(text="{human: !NoHuman {}}")
+        self.scenario = load_scenario(text="{people: {visitor: null}}")
         self.robot = make_robot(
             program=self.scenario.program,
             start="heartbeat",

@@ -350,7 +350,7 @@ class TestSampleRecorder(unittest.TestCase):
         self.dut = mut.SampleRecorder(
             rings=RINGS,
             truth=Truth(),
-            motion=motion,
+            motions=[motion],
             num_sensors=dict.fromkeys(RINGS, 4),
         )
         context = self.dut.CreateDefaultContext()

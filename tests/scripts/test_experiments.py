@@ -363,10 +363,16 @@ BAD_INPUT = {
     "duration": (("--duration", "0"), "--duration: 0.0 must"),
     "text": (("--scenario-text", "{ssm: {C_dc: 1}}"), "did you mean 'C_dC'?"),
     "fixed": (("--scenario-text", "{random_seed: 5}"), "random_seed: is deci"),
-    "nobody": (("--scenario-text", "{human: !NoHuman {}}"), "human: is decid"),
+    "nobody": (
+        ("--scenario-text", "{people: {visitor: null}}"),
+        "people: is decid",
+    ),
     "all": (("--study", "all", "--study", "foo"), "--study: 'foo' is unknown"),
     "figure": (
-        ("--scenario-text", "{human: {figure_eight: {half_width: 0.1}}}"),
+        (
+            "--scenario-text",
+            "{people: {visitor: {figure_eight: {half_width: 0.1}}}}",
+        ),
         "half_width",
     ),
     "no_motions": (("--human-motions", "gone"), "there is no folder gone"),

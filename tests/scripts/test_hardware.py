@@ -43,7 +43,7 @@ import tofssm_drake.scripts.hardware_status as hardware_status
 from tofssm_drake.scripts.main import run
 from tofssm_drake.tasks.program import make_program_path
 
-_NOBODY = "{program: {products: 2}, human: !NoHuman {}}"
+_NOBODY = "{program: {products: 2}, people: {visitor: null}}"
 
 
 def run_hardware(server, *options, text=_NOBODY, rings="virtual", err=None):

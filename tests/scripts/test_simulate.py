@@ -110,7 +110,9 @@ class TestResults:
         assert summary["seed"] == 5
         assert summary["scenario"]["ssm"]["configuration"] == "vr"
         assert summary["scenario"]["simulation_duration"] == 0.4
-        assert summary["scenario"]["human"]["kind"] == "GeneratedWalk"
+        assert (
+            summary["scenario"]["people"]["visitor"]["kind"] == "GeneratedWalk"
+        )
         assert summary["real_time_factor"] > 0.0
         for package in ("tofssm-drake", "drake", "numpy", "python"):
             assert summary["versions"][package][0].isdigit()
@@ -170,7 +172,7 @@ def full_run(tmp_path_factory):
         *("--duration", 0.4),
         *("--human-motion", bvh, "--scenario-name", "IdealSensors"),
         "--scenario-text",
-        "{human: {speed: 1.1}, random_seed: 2, "
+        "{people: {visitor: {speed: 1.1}}, random_seed: 2, "
         + change_rings("{count: 16}")
         + "}",
         *("--graphviz", folder / "cell.dot", "--out", folder / "out"),
@@ -237,7 +239,7 @@ class TestOptions:
 
     def test_human_motion(self, full_run):
         summary = read_summary(full_run / "out")
-        human = summary["scenario"]["human"]
+        human = summary["scenario"]["people"]["visitor"]
         assert human["kind"] == "BvhRecording"
         assert Path(human["filename"]).name == "walk.bvh"
         assert human["placement"] == "figure_eight"
@@ -293,10 +295,10 @@ BAD_INPUT = {
         "ssm.configuratoin: unknown key; did you mean 'configuration'?",
     ),
     "misspelt_key_in_a_file": (
-        _file("Cell:\n  human:\n    sped: 1.0\n"),
-        "cell.yaml:3: Cell.human.sped: unknown key; did you mean 'speed'?",
+        _file("Cell:\n  people:\n    a:\n      sped: 1.0\n"),
+        "cell.yaml:4: Cell.people.a.sped: unknown key; did you mean 'speed'?",
     ),
-    "unknown_kind": (_text("{human: !Robot {}}"), "!GeneratedWalk"),
+    "unknown_kind": (_text("{people: {visitor: !Robot {}}}"), "!GeneratedWalk"),
     "wrong_type": (
         _text("{sensors: {tool: {count: eight}}}"),
         "sensors.tool.count: must be a whole number, not 'eight'",
@@ -306,10 +308,13 @@ BAD_INPUT = {
         "cell.yaml:2: Cell.mask: must be a mapping",
     ),
     "number_for_a_list": (
-        _text("{human: {figure_eight: {centre: 1}}}"),
+        _text("{people: {visitor: {figure_eight: {centre: 1}}}}"),
         "must be a list",
     ),
-    "out_of_range": (_text("{human: {speed: 9}}"), "human.speed: 9"),
+    "out_of_range": (
+        _text("{people: {visitor: {speed: 9}}}"),
+        "people.visitor.speed: 9",
+    ),
     "out_of_range_deep": (
         _text("{sensors: {tool: {sensor: {usable_range: 0.01}}}}"),
         "sensors.tool.sensor.usable_range: 0.01 is out of range; use 0.05 to 4",
@@ -360,7 +365,9 @@ BAD_INPUT = {
     "empty_bvh": (("--human-motion", ("walk.bvh", "")), "walk.bvh"),
     "bvh_is_a_folder": (("--human-motion", "."), "."),
     "missing_bvh_in_a_file": (
-        _file("Cell:\n  human: !BvhRecording {filename: gone.bvh}\n"),
+        _file(
+            "Cell:\n  people: {visitor: !BvhRecording {filename: gone.bvh}}\n"
+        ),
         "gone.bvh",
     ),
     "unknown_ssm": (("--ssm", "vx"), "--ssm: 'vx' is unknown"),
@@ -393,15 +400,19 @@ BAD_INPUT = {
         "program.base_jerk: must be from 0.001",
     ),
     "person_far_away": (
-        _text("{human: !GeneratedWalk {figure_eight: {centre: [1e200, 0]}}}"),
-        "human.figure_eight.centre: [1e+200, 0.0] should be two numbers",
+        _text(
+            "{people: {visitor: "
+            "!GeneratedWalk {figure_eight: {centre: [1e200, 0]}}}}"
+        ),
+        "people.visitor.figure_eight.centre: [1e+200, 0.0] should be two numbers",
     ),
     "recording_far_away": (
         _text(
-            "{human: !BvhRecording {placement: in_place, filename: a.bvh, "
-            "position: [1e120, 0]}}"
+            "{people: {visitor: "
+            "!BvhRecording {placement: in_place, filename: a.bvh, "
+            "position: [1e120, 0]}}}"
         ),
-        "human.position: [1e+120, 0.0] should be two numbers",
+        "people.visitor.position: [1e+120, 0.0] should be two numbers",
     ),
     "key_twice": (
         _text("{ssm: {C_dC: 0.4},\n ssm: {C_dC: 0.9}}"),
@@ -418,8 +429,8 @@ BAD_INPUT = {
         "--scenario-text:1: sensors.tool.parent: must be text, not '3'; write",
     ),
     "number_for_units": (
-        _text("{human: !BvhRecording {filename: a.bvh, units: 0}}"),
-        "human.units: must be text, not '0'; write it in quotes",
+        _text("{people: {visitor: !BvhRecording {filename: a.bvh, units: 0}}}"),
+        "people.visitor.units: must be text, not '0'; write it in quotes",
     ),
     "empty_out": (("--out", ""), "'--out': must not be empty"),
     "empty_bvh_name": (

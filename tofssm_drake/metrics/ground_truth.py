@@ -190,7 +190,7 @@ class _Robot(NamedTuple):
 
 
 @njit(cache=True)
-def _calc_truth(robot, q, qd, ends, radii, pelvis, truth):
+def _calc_truth(robot, q, qd, ends, radii, person, truth):
     """Writes the vector that `TruthLayout` describes.
 
     Args:
@@ -199,7 +199,8 @@ def _calc_truth(robot, q, qd, ends, radii, pelvis, truth):
         qd: Joint speeds, rad/s, (n,).
         ends: Both ends of the person's capsules in world, m, (c, 2, 3).
         radii: Their radii, m, (c,).
-        pelvis: Index of the capsule whose centre is the person's place.
+        person: Number of capsules of a person, and index of the one of them
+            whose centre is the person's place, (2,).
         truth: Written, (16 + 3 m,).
     """
     X_WA = np.empty((q.shape[0] + 1, 3, 4))
@@ -217,6 +218,8 @@ def _calc_truth(robot, q, qd, ends, radii, pelvis, truth):
     truth[14] = np.nan
     truth[15] = np.nan
     if c:
+        # Of several people the place is that of the nearest one.
+        pelvis = int(truth[8]) // person[0] * person[0] + person[1]
         for k in range(2):
             truth[14 + k] = 0.5 * (p_WP[pelvis, k] + p_WQ[pelvis, k])
 
@@ -293,10 +296,10 @@ def _write_sites(robot, q, qd, p_WP, p_WQ, radii, truth):
 
 
 @njit(cache=True)
-def _calc_truth_rows(robot, q, qd, ends, radii, pelvis, truth):
+def _calc_truth_rows(robot, q, qd, ends, radii, person, truth):
     """Writes one row (k, 16 + 3 m) for each of k instants."""
     for i in range(q.shape[0]):
-        _calc_truth(robot, q[i], qd[i], ends[i], radii, pelvis, truth[i])
+        _calc_truth(robot, q[i], qd[i], ends[i], radii, person, truth[i])
 
 
 class TruthModel:
@@ -341,11 +344,13 @@ class TruthModel:
         kinematics: RingKinematics,
         models: tuple[str, ...] = ("ur10", "gripper"),
         pelvis: int = 0,
+        people: int = 1,
         link_offsets: np.ndarray | float = 0.0,
     ):
         robot = RobotCapsules.from_plant(plant, inspector, models=models)
         self._radii = np.array(radii, dtype=float).ravel()
-        self._pelvis = pelvis
+        per_person = len(self._radii) // max(people, 1)
+        self._person = np.array([max(per_person, 1), pelvis])
         self._link_offsets = np.broadcast_to(
             np.asarray(link_offsets, dtype=float), len(kinematics.name)
         )
@@ -385,7 +390,7 @@ class TruthModel:
             if self.skeleton_size
             else np.empty((k, 0, 2, 3)),
             self._radii,
-            self._pelvis,
+            self._person,
             truth,
         )
         if self._link_offsets.any():

@@ -1,6 +1,6 @@
 """Recorder of one row per control tick."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
@@ -337,7 +337,7 @@ class SampleRecorder(Diagram):
 
     Args:
         truth: Computes the truth; its links are those of `rings`.
-        motion: How the person moves; None: nobody.
+        motions: How each person moves, in the truth's order.
         period: Control tick, s.
         rings: Names of the m watched links, as in the messages.
         num_sensors: Number of sensors of each ring; its scans are recorded.
@@ -350,7 +350,7 @@ class SampleRecorder(Diagram):
         self,
         *,
         truth: Truth,
-        motion: HumanMotion | None = None,
+        motions: Sequence[HumanMotion] = (),
         period: float = 0.008,
         rings: tuple[str, ...],
         num_sensors: Mapping[str, int],
@@ -358,7 +358,7 @@ class SampleRecorder(Diagram):
     ):
         super().__init__()
         self._truth = truth
-        self._motion = motion
+        self._motions = tuple(motions)
         self._rings = tuple(rings)
         self._num_sensors = dict(num_sensors)
         self._metadata = {"rings": list(rings), "period": period}
@@ -466,9 +466,15 @@ class SampleRecorder(Diagram):
         return truth
 
     def _calc_skeletons(self, t):
-        if self._motion is None:
-            return np.empty((len(t), 0))
-        return capsule_ends_over_time(self._motion, t).reshape(len(t), -1)
+        return np.hstack(
+            [
+                np.empty((len(t), 0)),
+                *(
+                    capsule_ends_over_time(motion, t).reshape(len(t), -1)
+                    for motion in self._motions
+                ),
+            ]
+        )
 
     def _lay_out_messages(self, log, t):
         # Nothing is known before the first, as at a start in mid-air.

@@ -1,0 +1,117 @@
+"""The people of a cell, and other things that move in it.
+
+To add a kind of person, write its motion's file in `tofssm_drake/people`, and
+name it in `Person` and in `make_person_motion`.
+"""
+
+from collections.abc import Mapping, Sequence
+import dataclasses as dc
+
+import numpy as np
+from pydrake.geometry import SceneGraph
+from pydrake.systems.framework import DiagramBuilder, OutputPort
+from pydrake.systems.primitives import ConstantVectorSource, Multiplexer
+
+from tofssm_drake.people.avatar import HumanAvatar
+from tofssm_drake.people.bvh import BvhRecording, make_bvh_motion
+from tofssm_drake.people.custom_motion import CustomMotion, load_motion
+from tofssm_drake.people.motion import HumanMotion
+from tofssm_drake.people.moving_box import MovingBox, MovingBoxSystem
+from tofssm_drake.people.walk import GeneratedWalk, make_walk
+
+Person = GeneratedWalk | BvhRecording | CustomMotion
+
+
+@dc.dataclass(frozen=True, eq=False, kw_only=True)
+class People:
+    """The people in a world."""
+
+    avatars: Mapping[str, HumanAvatar]
+    """By name; empty: nobody is there."""
+    skeleton: OutputPort
+    """Where all of them are, one after the other."""
+
+    @property
+    def radii(self) -> np.ndarray:
+        """Radii of the capsules in `skeleton`, m, (c,)."""
+        return np.concatenate(
+            [np.empty(0), *(a.radii for a in self.avatars.values())]
+        )
+
+    @property
+    def motions(self) -> list[HumanMotion]:
+        """How each of them moves."""
+        return [avatar.motion for avatar in self.avatars.values()]
+
+
+def make_person_motion(person: Person, period: float) -> HumanMotion:
+    """Returns how a person moves.
+
+    Args:
+        person: Checked settings.
+        period: Control tick, s.
+    """
+    if isinstance(person, BvhRecording):
+        return make_bvh_motion(person, period)
+    if isinstance(person, CustomMotion):
+        return load_motion(person, period)
+    return make_walk(person, period)
+
+
+def add_people(
+    builder: DiagramBuilder,
+    scene_graph: SceneGraph,
+    people: Mapping[str, Person],
+    obstacles: Mapping[str, MovingBox],
+    period: float,
+) -> People:
+    """Adds the people, and what else moves, to a world.
+
+    Args:
+        builder: Of the Diagram.
+        scene_graph: Which will show them.
+        people: By name.
+        obstacles: By name.
+        period: Control tick, s.
+    """
+    avatars = {}
+    for name, person in people.items():
+        avatar = builder.AddNamedSystem(
+            name,
+            HumanAvatar(
+                scene_graph=scene_graph,
+                motion=make_person_motion(person, period),
+                name=name,
+            ),
+        )
+        builder.Connect(
+            avatar.GetOutputPort("geometry_pose"),
+            scene_graph.get_source_pose_port(avatar.source_id),
+        )
+        avatars[name] = avatar
+    for name, box in obstacles.items():
+        system = builder.AddNamedSystem(
+            name,
+            MovingBoxSystem(scene_graph=scene_graph, config=box, name=name),
+        )
+        builder.Connect(
+            system.get_output_port(),
+            scene_graph.get_source_pose_port(system.source_id),
+        )
+    ports = [avatar.GetOutputPort("skeleton") for avatar in avatars.values()]
+    return People(avatars=avatars, skeleton=_join(builder, ports))
+
+
+def _join(builder, ports: Sequence[OutputPort]) -> OutputPort:
+    """Returns a port with all skeletons."""
+    if not ports:
+        nobody = builder.AddNamedSystem("nobody", ConstantVectorSource([]))
+        return nobody.get_output_port()
+    if len(ports) == 1:
+        return ports[0]
+    people = builder.AddNamedSystem(
+        "people", Multiplexer([port.size() for port in ports])
+    )
+    for i, port in enumerate(ports):
+        builder.Connect(port, people.get_input_port(i))
+    return people.get_output_port()
