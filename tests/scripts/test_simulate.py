@@ -404,7 +404,7 @@ BAD_INPUT = {
             "{people: {visitor: "
             "!GeneratedWalk {figure_eight: {centre: [1e200, 0]}}}}"
         ),
-        "people.visitor.figure_eight.centre: [1e+200, 0.0] should be two numbers",
+        "visitor.figure_eight.centre: [1e+200, 0.0] should be two numbers",
     ),
     "recording_far_away": (
         _text(
