@@ -130,6 +130,7 @@ def add_lidar_to_monitor(
         kinematics=monitor.kinematics,
     )
     settings = monitor.settings
+    yaw = _find_yaw(name, monitor.plant)
     system = monitor.builder.AddNamedSystem(
         f"separation_{name}",
         LidarSeparation(
@@ -144,7 +145,7 @@ def add_lidar_to_monitor(
                 where=f"sensors.{name}.X_PS",
             ),
             period=settings.control_period,
-            yaw=_find_yaw(name, monitor.plant),
+            yaw=yaw,
             name=name,
         ),
     )

@@ -126,11 +126,40 @@ class TestRingGeometry(unittest.TestCase):
         self.assertEqual(dut.beam_L.shape, (16, 3))
         np.testing.assert_allclose(dut.beam_L[4], [0, 1, 0], atol=1e-15)
 
-    def test_rejects_what_the_equation_does_not_hold_for(self):
-        with self.assertRaisesRegex(ValueError, "circle"):
-            mut.make_ring_geometry([RigidTransform([0, 0.1, 0])])
-        with self.assertRaisesRegex(ValueError, "circle"):
-            mut.make_ring_geometry(make_X_LS(4, 0.08) + make_X_LS(4, 0.09))
+        self.assertTrue(dut.is_radial)
+        distance = np.arange(16.0)
+        self.assertIs(dut.calc_centre_distance(distance), distance)
+        self.assertIs(dut.find_direction(4, 0.3).base, dut.beam_L)
+
+    def test_beams_that_are_not_radial(self):
+        """The distance goes from the centre to the point on the axis."""
+        aside = RigidTransform([0.0, 0.1, 0.0])
+        dut = mut.make_ring_geometry([aside, aside])
+        self.assertFalse(dut.is_radial)
+        self.assertEqual(dut.radius, 0.0)
+        np.testing.assert_allclose(
+            dut.calc_centre_distance(np.array([0.3, np.inf])),
+            [np.hypot(0.3, 0.1), np.inf],
+        )
+        np.testing.assert_allclose(
+            dut.find_direction(0, 0.3),
+            np.array([0.3, 0.1, 0.0]) / np.hypot(0.3, 0.1),
+        )
+        two_radii = make_X_LS(4, 0.08) + make_X_LS(4, 0.09)
+        self.assertFalse(mut.make_ring_geometry(two_radii).is_radial)
+
+    def test_both_ways_agree_for_radial_beams(self):
+        radial = mut.make_ring_geometry(make_X_LS(8, 0.07))
+        general = dc.replace(radial, is_radial=False, radius=0.0)
+        distance = np.linspace(0.1, 1.3, 8)
+        np.testing.assert_allclose(
+            general.calc_centre_distance(distance),
+            radial.radius + radial.calc_centre_distance(distance),
+        )
+        for i, d in enumerate(distance):
+            np.testing.assert_allclose(
+                general.find_direction(i, d), radial.find_direction(i, d)
+            )
 
 
 class TestSaturate(unittest.TestCase):

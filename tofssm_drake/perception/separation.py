@@ -70,31 +70,61 @@ class RingGeometry:
     """Where the n sensors of a ring are on their link."""
 
     radius: float
-    """Radius r_l of the circle of the sensors' origins, m."""
+    """Radius r_l of the circle of the sensors' origins, m; 0 unless the beams
+    are radial."""
     beam_L: np.ndarray
     """Unit vectors of the beams in the ring's frame L, (n, 3)."""
+    p_LS: np.ndarray
+    """Origins of the sensors in L, m, (n, 3)."""
+    is_radial: bool = True
+    """Whether all beams start at one radius and point straight outwards."""
+
+    def calc_centre_distance(self, distance: np.ndarray) -> np.ndarray:
+        """Returns ||D|| - r_l of what each sensor sees on its axis, m, (n,).
+
+        For radial beams it is the measured distance itself (paper:
+        ||D|| = r_l + d).
+
+        Args:
+            distance: As measured, m, (n,).
+        """
+        if self.is_radial:
+            return distance
+        seen = np.isfinite(distance)
+        p_LO = self.p_LS + np.where(seen, distance, 0.0)[:, None] * self.beam_L
+        return np.where(seen, np.linalg.norm(p_LO, axis=1), distance)
+
+    def find_direction(self, sensor: int, distance: float) -> np.ndarray:
+        """Returns the unit vector from the link's centre to what is seen, (3,).
+
+        Args:
+            sensor: Which one sees it.
+            distance: As measured, m.
+        """
+        if self.is_radial:
+            return self.beam_L[sensor]
+        p_LO = self.p_LS[sensor] + distance * self.beam_L[sensor]
+        length = np.linalg.norm(p_LO)
+        return p_LO / length if length > 0.0 else self.beam_L[sensor]
 
 
 def make_ring_geometry(X_LS: Sequence) -> RingGeometry:
-    """Reads radius and beams from the sensors' poses.
+    """Reads origins and beams from the sensors' poses.
 
     Args:
         X_LS: pose of each sensor's frame S in the ring's frame L, whose
             origin is the link's centre; x of S is the axis of the beam.
-
-    Raises:
-        ValueError: unless all beams start at one radius and point radially
-            outwards: the paper's ||D|| = r_l + d holds only then.
     """
     p_LS = np.array([X.translation() for X in X_LS])
     beam_L = np.array([X.rotation().matrix()[:, 0] for X in X_LS])
     radius = float(np.linalg.norm(p_LS[0]))
-    if not np.allclose(p_LS, radius * beam_L, rtol=0.0, atol=1e-6):
-        raise ValueError(
-            "X_LS: the sensors are not on one circle around the link's "
-            "centre, looking straight outwards"
-        )
-    return RingGeometry(radius=radius, beam_L=beam_L)
+    is_radial = np.allclose(p_LS, radius * beam_L, rtol=0.0, atol=1e-6)
+    return RingGeometry(
+        radius=radius if is_radial else 0.0,
+        beam_L=beam_L,
+        p_LS=p_LS,
+        is_radial=is_radial,
+    )
 
 
 class LinkKinematics(Protocol):
@@ -215,13 +245,13 @@ def _calc_closing_speed(sensor, distance, time, previous, limits, literal):
 
 
 @njit(cache=True)
-def _calc_speeds(sensor, measured_speed, is_held, beam_L, R_WL, v_WL, V_hmax):
+def _calc_speeds(measured_speed, is_held, direction_L, R_WL, v_WL, V_hmax):
     """Returns direction in world (3), k_l and k_o of the deciding sensor."""
     direction = np.zeros(3)
     k_l = 0.0
     for i in range(3):
         for j in range(3):
-            direction[i] += R_WL[i, j] * beam_L[sensor, j]
+            direction[i] += R_WL[i, j] * direction_L[j]
         k_l += v_WL[i] * direction[i]
     k_o = k_l + V_hmax
     if measured_speed == measured_speed:
@@ -240,7 +270,8 @@ def calc_link_row(
     """Calculates a link's part of a Separation from its ring's scan.
 
     The nearest VALID sensor decides (paper, Minimum Distance Calculation):
-    ||D|| = r_l + d, along its beam. The directed speeds are
+    ||D|| = r_l + d, along its beam; for a sensor that does not look straight
+    outwards, D goes to the point at d on its axis. The directed speeds are
     k_l = V_l . P^ and k_o = -(||D||(t) - ||D||(t - dt)) / dt of the same
     sensor by its own times, which includes the robot's own motion;
     where that sensor had no valid sample before, k_o = k_l + V_hmax.
@@ -265,7 +296,8 @@ def calc_link_row(
     """
     scan, reading = masked_scan.scan, masked_scan.reading
     now = scan.time
-    distance = close_in(scan.distance, reading, scan.sensor_time, now, k_max)
+    measured = close_in(scan.distance, reading, scan.sensor_time, now, k_max)
+    distance = geometry.calc_centre_distance(measured)
     sensor, moment, time = _find_moment(
         distance, reading, scan.sensor_time, now
     )
@@ -285,19 +317,23 @@ def calc_link_row(
     else:
         row[_DISTANCE] = geometry.radius + distance[sensor]
         row[_DIRECTION:_REALS], k_l, k_o = _calc_speeds(
-            sensor,
             _calc_closing_speed(
                 sensor,
-                scan.distance,
+                geometry.calc_centre_distance(scan.distance),
                 scan.sensor_time,
                 np.array(
-                    [masked_scan.previous_distance, masked_scan.previous_time]
+                    [
+                        geometry.calc_centre_distance(
+                            masked_scan.previous_distance
+                        ),
+                        masked_scan.previous_time,
+                    ]
                 ),
                 config.max_gap,
                 (config.literal, config.literal_sign),
             ),
             reading[sensor] == _HELD,
-            geometry.beam_L,
+            geometry.find_direction(sensor, measured[sensor]),
             R_WL[link],
             v_WL[link],
             config.V_hmax,
