@@ -47,7 +47,7 @@ def make_run_scenario(
     """
     scenario = copy.deepcopy(base)
     cell, trial = run.cell, run.trial
-    scenario.ssm.configuration = cell.configuration
+    scenario.law.configuration = cell.configuration
     scenario.sensing = "tof" if cell.sensing == "tof16" else cell.sensing
     scenario.sensors_per_ring = 16 if cell.sensing == "tof16" else 8
     if cell.variant:

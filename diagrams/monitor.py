@@ -14,11 +14,9 @@ from tofssm_drake.diagrams.scenario import (
     Scenario,
     find_dead_sensors,
     get_links,
-    make_law,
+    get_threshold_offsets,
 )
-from tofssm_drake.laws.dsi_filter import DsiFilter
 from tofssm_drake.laws.speed_fraction import SpeedFractionTrajectory
-from tofssm_drake.laws.tri_ssm import TriSsmState
 from tofssm_drake.messages import RINGS
 from tofssm_drake.perception.ideal_separation import IdealSeparation
 from tofssm_drake.perception.lidar_mount import (
@@ -78,11 +76,8 @@ def make_monitor(
         - products_placed
         output_ports:
         - speed_fraction
-        - robot_state
-        - ring_states
-        - reason
+        - decision
         - separation
-        - dsi
         - masked_scan_base
         - masked_scan_elbow
         - masked_scan_tool
@@ -145,37 +140,36 @@ def _add_sensing(builder, scenario, person_radii):
 
 
 def _add_law(builder, scenario, separation):
-    """Adds filter, states and speed fraction; exports all their signals."""
-    law, links = make_law(scenario), get_links(scenario)
-    dsi_filter = builder.AddNamedSystem(
-        "dsi_filter",
-        DsiFilter(config=law, period=scenario.control_period, name=links),
-    )
-    state = builder.AddNamedSystem(
-        "tri_ssm", TriSsmState(config=law, name=links)
+    """Adds the law and the speed fraction; exports what they say."""
+    links = get_links(scenario)
+    law = builder.AddNamedSystem(
+        "law",
+        scenario.law.make(
+            links=links,
+            offset=get_threshold_offsets(scenario),
+            period=scenario.control_period,
+        ),
     )
     trajectory = builder.AddNamedSystem(
         "speed_fraction",
-        SpeedFractionTrajectory(config=law, period=scenario.control_period),
+        SpeedFractionTrajectory(
+            name=links,
+            ramp=scenario.law.traits.ramp,
+            period=scenario.control_period,
+        ),
     )
     builder.Connect(
-        separation.GetOutputPort("separation"),
-        dsi_filter.GetInputPort("separation"),
+        separation.GetOutputPort("separation"), law.GetInputPort("separation")
     )
-    builder.Connect(dsi_filter.GetOutputPort("dsi"), state.GetInputPort("dsi"))
-    for system in (dsi_filter, trajectory):
-        builder.Connect(
-            state.GetOutputPort("robot_state"),
-            system.GetInputPort("robot_state"),
-        )
-    for system, names in (
-        (trajectory, ("speed_fraction",)),
-        (state, ("robot_state", "ring_states", "reason")),
-        (separation, ("separation",)),
-        (dsi_filter, ("dsi",)),
+    builder.Connect(
+        law.GetOutputPort("decision"), trajectory.GetInputPort("decision")
+    )
+    for system, name in (
+        (trajectory, "speed_fraction"),
+        (law, "decision"),
+        (separation, "separation"),
     ):
-        for name in names:
-            builder.ExportOutput(system.GetOutputPort(name), name)
+        builder.ExportOutput(system.GetOutputPort(name), name)
 
 
 def _add_ideal(builder, scenario, kinematics, person_radii):
@@ -186,7 +180,7 @@ def _add_ideal(builder, scenario, kinematics, person_radii):
         "separation",
         IdealSeparation(
             config=scenario.ideal,
-            k_max=scenario.ssm.k_omax,
+            k_max=scenario.law.traits.k_max,
             kinematics=kinematics,
             radii=person_radii,
         ),
@@ -221,7 +215,7 @@ def _add_lidar(builder, scenario, scene_graph, plant, kinematics):
         "separation",
         LidarSeparation(
             config=scenario.lidar_separation,
-            k_max=scenario.ssm.k_omax,
+            k_max=scenario.law.traits.k_max,
             kinematics=kinematics,
             background=scan_background(
                 caster=caster,
@@ -256,7 +250,7 @@ def _add_rings(builder, scenario, scene_graph, plant, kinematics):
         "separation",
         TofSeparation(
             config=scenario.separation,
-            k_max=scenario.ssm.k_omax,
+            k_max=scenario.law.traits.k_max,
             kinematics=kinematics,
             geometries=geometries,
         ),

@@ -11,9 +11,11 @@ import yaml
 from tofssm_drake.diagrams.scenario import (
     Scenario,
     dump_scenario,
-    make_law,
+    get_links,
+    get_threshold_offsets,
 )
 from tofssm_drake.diagrams.station import Station
+from tofssm_drake.laws.law import describe_law
 from tofssm_drake.messages import RINGS
 from tofssm_drake.metrics.audit import make_audit_metadata
 from tofssm_drake.metrics.standards import make_latency_budget
@@ -45,7 +47,7 @@ def make_run_metadata(
     """
     return {
         "scenario": describe_scenario(scenario),
-        "ssm": scenario.ssm.configuration,
+        "law": describe_law(scenario.law),
         "sensing": scenario.sensing,
         "seed": scenario.random_seed,
         "human": type(scenario.human).__name__,
@@ -61,7 +63,14 @@ def make_run_metadata(
         ),
         "audit": make_audit_metadata(
             config=scenario.audit,
-            ssm=make_law(scenario),
+            law=scenario.law.traits,
+            offset=dict(
+                zip(
+                    get_links(scenario),
+                    get_threshold_offsets(scenario).tolist(),
+                    strict=True,
+                )
+            ),
             latency=_calc_latency(scenario),
         ),
         "link_offset_m": _find_link_offsets(scenario, station),

@@ -4,6 +4,7 @@ import dataclasses as dc
 import difflib
 from importlib import resources
 import pathlib
+from typing import ClassVar
 
 import numpy as np
 from pydrake.common.yaml import yaml_dump_typed, yaml_load_typed
@@ -17,7 +18,8 @@ from tofssm_drake.diagrams.yaml_check import (
     parse_yaml,
 )
 from tofssm_drake.errors import UserError, require
-from tofssm_drake.laws.config import SsmConfig
+from tofssm_drake.laws.custom_law import Custom
+from tofssm_drake.laws.tri_ssm_law import TriSsm
 from tofssm_drake.messages import RINGS
 from tofssm_drake.metrics.standards import AuditConfig
 from tofssm_drake.people.bvh import BvhRecording
@@ -48,6 +50,9 @@ class NoHuman:
 @dc.dataclass(kw_only=True)
 class Scenario:
     """All settings of a run; the same scenario gives the same run."""
+
+    RENAMED: ClassVar[dict[str, str]] = {"ssm": "law"}
+    """Former keys and what they are called now, for the error message."""
 
     # Seed of every random draw: the sensors' constant errors and their noise.
     random_seed: int = 0
@@ -120,7 +125,7 @@ class Scenario:
     )
 
     # The safety law.
-    ssm: SsmConfig = dc.field(default_factory=SsmConfig)
+    law: TriSsm | Custom = dc.field(default_factory=TriSsm)
 
     # Assumptions of the audit; they do not affect the run.
     audit: AuditConfig = dc.field(default_factory=AuditConfig)
@@ -207,28 +212,18 @@ def get_links(scenario: Scenario) -> tuple[str, ...]:
     return LIDAR if scenario.sensing == "lidar" else RINGS
 
 
-def make_law(scenario: Scenario) -> SsmConfig:
-    """Returns the law's settings for the sensing.
+def get_threshold_offsets(scenario: Scenario) -> np.ndarray:
+    """Returns by how much the law's distances are greater at each link, m.
 
     A lidar's distances are measured from the base's axis. If they are used as
-    they are, the law's constant distances grow by the radius of the robot's
-    workspace (paper, Table: C_dC = r_o + 0.3 m).
+    they are, they include the radius of the robot's workspace (paper, Table:
+    C_dC = r_o + 0.3 m).
+
+    Returns:
+        Shape (m,), in the order of `get_links`.
     """
-    ssm = scenario.ssm
-    if scenario.sensing != "lidar":
-        return ssm
-    offset = scenario.lidar_separation.threshold_offset
-
-    def grow(distance):
-        # Exact in decimals: 0.3 + 0.82 is 1.12.
-        return round(distance + offset, 12)
-
-    return dc.replace(
-        ssm,
-        C_dC=grow(ssm.C_dC),
-        d_C_sm=grow(ssm.d_C_sm),
-        d_R_sm=grow(ssm.d_R_sm),
-    )
+    more = {LIDAR[0]: scenario.lidar_separation.threshold_offset}
+    return np.array([more.get(link, 0.0) for link in get_links(scenario)])
 
 
 def find_default_scenarios() -> pathlib.Path:
@@ -332,8 +327,10 @@ def dump_scenario(scenario: Scenario) -> dict:
     """
     text = yaml_dump_typed(scenario, schema=Scenario)
     values = yaml.load(text, Loader=_PlainLoader)
-    kind = type(scenario.human).__name__
-    return values | {"human": {"kind": kind} | values["human"]}
+    for name in ("human", "law"):
+        kind = type(getattr(scenario, name)).__name__
+        values[name] = {"kind": kind} | values[name]
+    return values
 
 
 # The C version is ten times faster; all wheels of PyYAML have it.

@@ -99,6 +99,7 @@ def _add_recorder(builder, scenario, station, monitor):
             motion=None if avatar is None else avatar.motion,
             period=scenario.control_period,
             rings=get_links(scenario),
+            signals=tuple(scenario.law.traits.signals),
             num_sensors=scenario.sensors_per_ring if has_rings else 0,
             metadata=make_run_metadata(scenario, station, truth.body_names),
         ),
@@ -113,10 +114,8 @@ def _add_recorder(builder, scenario, station, monitor):
         )
     for name in (
         "speed_fraction",
-        "ring_states",
-        "reason",
+        "decision",
         "separation",
-        "dsi",
         *(f"masked_scan_{ring}" for ring in RINGS if has_rings),
     ):
         builder.Connect(
@@ -156,10 +155,11 @@ def _add_display(builder, scenario, station, monitor, meshcat):
         MeshcatVisualizerParams(role=Role.kIllustration, publish_period=period),
     )
     light = builder.AddNamedSystem(
-        "state_light", StateLight(meshcat=meshcat, period=period)
+        "state_light",
+        StateLight(meshcat=meshcat, links=get_links(scenario), period=period),
     )
     builder.Connect(
-        monitor.GetOutputPort("robot_state"), light.GetInputPort("robot_state")
+        monitor.GetOutputPort("decision"), light.GetInputPort("decision")
     )
     if scenario.sensing != "tof":
         return

@@ -29,11 +29,12 @@ from tofssm_drake.diagrams.run_metadata import get_versions
 from tofssm_drake.diagrams.scenario import (
     Scenario,
     dump_scenario,
+    get_threshold_offsets,
     load_scenario,
-    make_law,
 )
 from tofssm_drake.errors import require
 from tofssm_drake.laws.config import CONFIGURATIONS
+from tofssm_drake.laws.tri_ssm_law import TriSsm
 from tofssm_drake.paper.campaign_report import write_campaign_report
 from tofssm_drake.people.bvh import BvhRecording, make_bvh_motion
 from tofssm_drake.scripts.cluster import call_all, connect
@@ -290,6 +291,11 @@ def make_command(
 def require_free(scenario: Scenario) -> None:
     """Raises UserError if the text changes what cells or trials decide."""
     default = load_scenario()
+    require(
+        isinstance(scenario.law, TriSsm),
+        "--scenario-text: law: must be !TriSsm, whose configurations the "
+        "campaign compares",
+    )
     human = copy.deepcopy(default.human)
     human.figure_eight = getattr(scenario.human, "figure_eight", None)
     for name, same in {
@@ -297,8 +303,8 @@ def require_free(scenario: Scenario) -> None:
         "sensors_per_ring": scenario.sensors_per_ring
         == default.sensors_per_ring,
         "random_seed": scenario.random_seed == default.random_seed,
-        "ssm.configuration": scenario.ssm.configuration
-        == default.ssm.configuration,
+        "law.configuration": scenario.law.configuration
+        == default.law.configuration,
         "human": scenario.human == human,
     }.items():
         require(
@@ -403,16 +409,15 @@ def list_parameters(
     Returns:
         Rows (name, value by sensing).
     """
-    laws = {
-        cell.sensing: make_law(
-            make_run_scenario(scenario, PlannedRun(cell=cell))
-        )
-        for cell in plan.cells
-        if not cell.variant
-    }
+    laws = {}
+    for cell in plan.cells:
+        if not cell.variant:
+            own = make_run_scenario(scenario, PlannedRun(cell=cell))
+            offset = get_threshold_offsets(own)[0]
+            laws[cell.sensing] = own.law.grow(float(offset))
 
     def row(name, text):
-        return name, {s: text(ssm) for s, ssm in laws.items()}
+        return name, {s: text(law) for s, law in laws.items()}
 
     return [
         row(

@@ -21,9 +21,14 @@ from tofssm_drake.diagrams.hardware_run import (
 )
 from tofssm_drake.diagrams.monitor import tell_self_hit_coverage
 from tofssm_drake.diagrams.ring_decoder import make_ring_decoder
-from tofssm_drake.diagrams.scenario import Scenario, dump_scenario
+from tofssm_drake.diagrams.scenario import (
+    Scenario,
+    dump_scenario,
+    get_links,
+)
 from tofssm_drake.diagrams.simulation import Progress
 from tofssm_drake.errors import UserError
+from tofssm_drake.laws.law import describe_law
 from tofssm_drake.recording.run_record import RunRecorder
 from tofssm_drake.reports.report import count_of
 from tofssm_drake.ringlink.ring_address import SerialAddress, UdpAddress
@@ -260,6 +265,8 @@ def _begin(settings, loop, robot, first, recorder):
         recorder.add_run(
             {
                 "scenario": dump_scenario(scenario),
+                "links": get_links(scenario),
+                "law": describe_law(scenario.law),
                 "virtual_rings": settings.is_virtual,
                 "minimum_fraction": settings.slider.minimum_fraction,
                 "dry_run": settings.is_dry_run,

@@ -15,7 +15,7 @@ import time
 from typing import TextIO
 
 from tofssm_drake.diagrams.hardware_loop import TickResult
-from tofssm_drake.messages import RINGS, RobotReport, RobotState
+from tofssm_drake.messages import RobotReport, RobotState
 from tofssm_drake.ringlink.ring_link import RingConnection, RingLinkStatus
 from tofssm_drake.rtde.robot_connection import RobotConnection
 
@@ -224,7 +224,7 @@ def describe_status(
     nearest = int(distance.argmin())
     near = "clear"
     if math.isfinite(distance[nearest]):
-        near = f"{RINGS[nearest]} {distance[nearest]:.2f} m"
+        near = f"{result.separation.name[nearest]} {distance[nearest]:.2f} m"
     ages = f"age robot {_format_age(now - report.time)}"
     gaps = f"gaps {report.missed - missed_before}"
     if rings is not None:

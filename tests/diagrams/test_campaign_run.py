@@ -12,8 +12,8 @@ import tofssm_drake.diagrams.campaign_run as mut
 from tofssm_drake.diagrams.scenario import (
     NoHuman,
     dump_scenario,
+    get_threshold_offsets,
     load_scenario,
-    make_law,
 )
 from tofssm_drake.laws.config import CONFIGURATIONS
 from tofssm_drake.studies.campaign import (
@@ -47,7 +47,7 @@ class TestScenario(unittest.TestCase):
                     scenario = mut.make_run_scenario(self.base, run)
                     scenario.check()
                     self.assertEqual(scenario.random_seed, run.trial.seed)
-                    self.assertEqual(scenario.ssm.configuration, configuration)
+                    self.assertEqual(scenario.law.configuration, configuration)
         self.assertEqual(dump_scenario(self.base), before)
 
     def test_sensing(self):
@@ -67,7 +67,8 @@ class TestScenario(unittest.TestCase):
             ("ideal", (0.3, 0.5, 1.1)),
             ("lidar", (1.12, 1.32, 1.92)),
         ):
-            law = make_law(mut.make_run_scenario(self.base, make_run(sensing)))
+            scenario = mut.make_run_scenario(self.base, make_run(sensing))
+            law = scenario.law.grow(get_threshold_offsets(scenario)[0])
             self.assertEqual((law.C_dC, law.d_C_sm, law.d_R_sm), expected)
             self.assertEqual((law.T_red, law.T_stop, law.T_R), (0.4, 0.4, 0.1))
             self.assertEqual((law.alpha_I, law.alpha_D), (0.3, 0.8))
@@ -102,7 +103,7 @@ class TestScenario(unittest.TestCase):
                     )
                     # A late sample must not be taken for a lost one.
                     self.assertGreaterEqual(
-                        changed.ssm.deadline, changed.ideal.latency + 0.1
+                        changed.law.deadline, changed.ideal.latency + 0.1
                     )
 
     def test_nobody_there(self):

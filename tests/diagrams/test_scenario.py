@@ -21,7 +21,7 @@ Cell:
   human: !GeneratedWalk
     <<: *slow
     stature: 1.6
-  ssm:
+  law:
     configuration: vr
     C_dC: 0.4
 Empty: {}
@@ -56,18 +56,18 @@ class TestLoad(unittest.TestCase):
         self.assertEqual(scenario.sensors_per_ring, 16)
         self.assertEqual(scenario.ring_phases, [0.0, 0.008, 0.016])
         self.assertEqual(scenario.human, GeneratedWalk(speed=0.9, stature=1.6))
-        self.assertEqual(scenario.ssm.configuration, "vr")
-        self.assertEqual(scenario.ssm.C_dC, 0.4)
-        self.assertEqual(scenario.ssm.T_stop, mut.Scenario().ssm.T_stop)
+        self.assertEqual(scenario.law.configuration, "vr")
+        self.assertEqual(scenario.law.C_dC, 0.4)
+        self.assertEqual(scenario.law.T_stop, mut.Scenario().law.T_stop)
         self.assertEqual(scenario.program, mut.Scenario().program)
 
     def test_text_overrides_file_and_keeps_the_rest(self):
         scenario = self.load(
-            text="{random_seed: 5, ssm: {C_dC: 0.5}, human: {speed: 1.5}}"
+            text="{random_seed: 5, law: {C_dC: 0.5}, human: {speed: 1.5}}"
         )
         self.assertEqual(scenario.random_seed, 5)
-        self.assertEqual(scenario.ssm.C_dC, 0.5)
-        self.assertEqual(scenario.ssm.configuration, "vr")
+        self.assertEqual(scenario.law.C_dC, 0.5)
+        self.assertEqual(scenario.law.configuration, "vr")
         self.assertEqual(scenario.human, GeneratedWalk(speed=1.5, stature=1.6))
         self.assertEqual(scenario.sensors_per_ring, 16)
 
@@ -82,7 +82,7 @@ class TestLoad(unittest.TestCase):
 
     def test_options_override_text(self):
         scenario = self.load(
-            text="{random_seed: 5, ssm: {configuration: sm, C_dC: 0.5}, "
+            text="{random_seed: 5, law: {configuration: sm, C_dC: 0.5}, "
             "simulation_duration: 7}"
         )
         override(scenario)
@@ -97,8 +97,8 @@ class TestLoad(unittest.TestCase):
             duration=3.0,
         )
         self.assertEqual(scenario.random_seed, 0)
-        self.assertEqual(scenario.ssm.configuration, "vo")
-        self.assertEqual(scenario.ssm.C_dC, 0.5)
+        self.assertEqual(scenario.law.configuration, "vo")
+        self.assertEqual(scenario.law.C_dC, 0.5)
         self.assertEqual(scenario.sensors_per_ring, 8)
         self.assertEqual(scenario.simulation_duration, 3.0)
         self.assertEqual(scenario.human, BvhRecording(filename="walk.bvh"))
@@ -120,9 +120,9 @@ class TestLoad(unittest.TestCase):
     def test_two_loads_share_nothing(self):
         one, other = self.load(), self.load()
         one.ring_phases[0] = 1.0
-        one.ssm.C_dC = 9.0
+        one.law.C_dC = 9.0
         self.assertEqual(other.ring_phases[0], 0.0)
-        self.assertEqual(other.ssm.C_dC, 0.4)
+        self.assertEqual(other.law.C_dC, 0.4)
 
 
 class TestDump(unittest.TestCase):
@@ -130,7 +130,7 @@ class TestDump(unittest.TestCase):
         for name, text in (
             *((name, "") for name in mut.list_scenarios()),
             ("Default", "{human: {figure_eight: {centre: [1.2, 1e-3]}}}"),
-            ("Default", "{ssm: {configuration: sm}, random_seed: 4294967295}"),
+            ("Default", "{law: {configuration: sm}, random_seed: 4294967295}"),
             ("Default", "{human: !BvhRecording {filename: a, end_time: 3}}"),
             ("Default", "{rings: {sensor: {wrap_probability: 1.0e-9}}}"),
         ):
@@ -150,7 +150,7 @@ class TestDump(unittest.TestCase):
         values = mut.dump_scenario(mut.Scenario())
         self.assertEqual(set(values), set(vars(mut.Scenario())))
         self.assertEqual(values["human"]["kind"], "GeneratedWalk")
-        self.assertEqual(values["ssm"]["C_dC"], 0.3)
+        self.assertEqual(values["law"]["C_dC"], 0.3)
         values = mut.dump_scenario(mut.Scenario(human=mut.NoHuman()))
         self.assertEqual(values["human"], {"kind": "NoHuman"})
 

@@ -15,8 +15,8 @@ from tofssm_drake.diagrams.monitor import make_monitor
 from tofssm_drake.diagrams.scenario import (
     SENSINGS,
     dump_scenario,
+    get_threshold_offsets,
     load_scenario,
-    make_law,
 )
 from tofssm_drake.diagrams.simulation import Run
 from tofssm_drake.diagrams.workcell import make_workcell
@@ -57,8 +57,7 @@ class TestPorts:
         monitor = workcell.diagram.GetSubsystemByName("monitor")
         assert set(get_inputs(monitor)) == {*JOINTS, SEEN[sensing]}
         assert set(get_outputs(monitor)) == {
-            *("speed_fraction", "robot_state", "ring_states", "reason"),
-            *("separation", "dsi"),
+            *("speed_fraction", "decision", "separation"),
         }
         scans = {
             name
@@ -102,23 +101,27 @@ class TestPorts:
 
 class TestLaw:
     def test_lidar_s_distances_grow_by_the_workspace(self):
-        law = make_law(load_scenario(text="sensing: lidar"))
+        scenario = load_scenario(text="sensing: lidar")
+        (offset,) = get_threshold_offsets(scenario)
+        law = scenario.law.grow(offset)
         assert (law.C_dC, law.d_C_sm, law.d_R_sm) == (1.12, 1.32, 1.92)
 
     def test_unless_its_rule_takes_it_off(self):
         for rule in ("subtracted", "literal"):
-            law = make_law(
-                load_scenario(
-                    text="{sensing: lidar, "
-                    f"lidar_separation: {{distance_rule: {rule}}}}}"
-                )
+            scenario = load_scenario(
+                text="{sensing: lidar, "
+                f"lidar_separation: {{distance_rule: {rule}}}}}"
             )
+            (offset,) = get_threshold_offsets(scenario)
+            law = scenario.law.grow(offset)
             assert (law.C_dC, law.d_C_sm, law.d_R_sm) == (0.3, 0.5, 1.1)
 
     def test_the_others_have_the_law_as_it_is(self):
         for sensing in ("tof", "ideal"):
             scenario = load_scenario(text=f"sensing: {sensing}")
-            assert make_law(scenario) is scenario.ssm
+            offsets = get_threshold_offsets(scenario)
+            np.testing.assert_array_equal(offsets, np.zeros(len(RINGS)))
+            assert scenario.law.grow(offsets[0]) is scenario.law
 
 
 class TestScenario:

@@ -10,7 +10,7 @@ from pydrake.systems.framework import DiagramBuilder
 
 from tofssm_drake.errors import UserError
 from tofssm_drake.laws.config import SsmConfig
-from tofssm_drake.laws.distances import make_distance_constants
+from tofssm_drake.laws.distances import make_link_constants
 import tofssm_drake.laws.dsi_filter as mut
 from tofssm_drake.laws.tri_ssm import TriSsmState, classify_index
 from tofssm_drake.messages import (
@@ -130,7 +130,7 @@ class TestCalcSafetyIndex(unittest.TestCase):
 
     def calc(self, separation):
         return mut.calc_safety_index(
-            constants=make_distance_constants(self.config),
+            constants=make_link_constants(self.config, RINGS),
             state=self.state,
             separation=separation,
         )
@@ -309,7 +309,7 @@ class TestCalcSafetyIndex(unittest.TestCase):
 
 class TestDsiFilter(unittest.TestCase):
     def setUp(self):
-        self.dut = mut.DsiFilter()
+        self.dut = mut.DsiFilter(name=RINGS)
         self.context = self.dut.CreateDefaultContext()
 
     def fix(self, separation=None, robot_state=None):
@@ -408,7 +408,7 @@ class TestDsiFilter(unittest.TestCase):
     def check_is_calculated(self, separation):
         """Compares the output with that of a new filter."""
         expected = mut.calc_safety_index(
-            constants=make_distance_constants(SsmConfig()),
+            constants=make_link_constants(SsmConfig(), RINGS),
             state=self.context.get_discrete_state_vector().value(),
             separation=separation,
         )
@@ -422,7 +422,7 @@ class TestDsiFilter(unittest.TestCase):
 
     def test_other_control_ticks(self):
         for period in (0.002, 0.016):
-            dut = mut.DsiFilter(period=period)
+            dut = mut.DsiFilter(name=RINGS, period=period)
             simulator = Simulator(dut)
             context = simulator.get_mutable_context()
             dut.GetInputPort("separation").FixValue(
@@ -469,12 +469,12 @@ class TestDsiFilter(unittest.TestCase):
 
     def test_bad_config(self):
         with self.assertRaises(UserError):
-            mut.DsiFilter(config=SsmConfig(alpha_I=2.0))
+            mut.DsiFilter(name=RINGS, config=SsmConfig(alpha_I=2.0))
 
     def test_tick_must_last(self):
         for period in (0.0, -0.008, np.nan, np.inf):
             with self.assertRaisesRegex(UserError, "period"):
-                mut.DsiFilter(period=period)
+                mut.DsiFilter(name=RINGS, period=period)
 
     def test_loop_with_the_state(self):
         """Checks hysteresis in the closed loop of filter and state.
@@ -485,7 +485,7 @@ class TestDsiFilter(unittest.TestCase):
         """
         builder = DiagramBuilder()
         dut = builder.AddSystem(self.dut)
-        tri_ssm = builder.AddSystem(TriSsmState())
+        tri_ssm = builder.AddSystem(TriSsmState(name=RINGS))
         builder.Connect(dut.GetOutputPort("dsi"), tri_ssm.GetInputPort("dsi"))
         builder.Connect(
             tri_ssm.GetOutputPort("robot_state"),

@@ -514,11 +514,12 @@ class TestHardware(unittest.TestCase):
                 ),
                 (
                     (
-                        *("--scenario-text", "{ssm: {rho_reduced: 0.05}}"),
+                        *("--scenario-text", "{law: {rho_reduced: 0.05}}"),
                         *("--minimum-fraction", 0.1),
                     ),
                     "virtual",
-                    "--minimum-fraction: must be below ssm.rho_reduced, 0.05",
+                    "--minimum-fraction: must be below the law's reduced "
+                    "speed fraction, 0.05",
                 ),
                 ((), "udp://0.0.0.0:5005", "--allow-remote"),
                 *(

@@ -108,7 +108,7 @@ class TestResults:
         summary = read_summary(short_run)
         assert SUMMARY_KEYS <= set(summary)
         assert summary["seed"] == 5
-        assert summary["scenario"]["ssm"]["configuration"] == "vr"
+        assert summary["scenario"]["law"]["configuration"] == "vr"
         assert summary["scenario"]["simulation_duration"] == 0.4
         assert summary["scenario"]["human"]["kind"] == "GeneratedWalk"
         assert summary["real_time_factor"] > 0.0
@@ -286,8 +286,8 @@ _NOT_BVH = ("walk.bvh", "HIERARCHY\nROOT Hips\n{\n")
 BAD_INPUT = {
     "unknown_key": (_text("{weather: 1}"), "--scenario-text:1: weather:"),
     "misspelt_key": (
-        _text("{ssm: {configuratoin: vr}}"),
-        "ssm.configuratoin: unknown key; did you mean 'configuration'?",
+        _text("{law: {configuratoin: vr}}"),
+        "law.configuratoin: unknown key; did you mean 'configuration'?",
     ),
     "misspelt_key_in_a_file": (
         _file("Cell:\n  human:\n    sped: 1.0\n"),
@@ -326,9 +326,9 @@ BAD_INPUT = {
     "negative_seed": (("--seed", "-1"), "--seed: -1"),
     "huge_seed": (("--seed", "1" + 30 * "0"), "--seed: 1000"),
     "seed_is_no_number": (("--seed", "x"), "--seed"),
-    "yaml_syntax": (_text("{ssm: ["), "--scenario-text:1: not YAML"),
+    "yaml_syntax": (_text("{law: ["), "--scenario-text:1: not YAML"),
     "yaml_syntax_in_a_file": (
-        _file("Cell:\n  ssm: {\n"),
+        _file("Cell:\n  law: {\n"),
         "cell.yaml:3: not YAML",
     ),
     "yaml_is_a_list": (_text("[1, 2]"), "must be a mapping"),
@@ -359,8 +359,8 @@ BAD_INPUT = {
     ),
     "unknown_ssm": (("--ssm", "vx"), "--ssm: 'vx' is unknown"),
     "unknown_ssm_in_text": (
-        _text("{ssm: {configuration: vx}}"),
-        "ssm.configuration: 'vx' is unknown",
+        _text("{law: {configuration: vx}}"),
+        "law.configuration: 'vx' is unknown",
     ),
     "unknown_sensing": (
         ("--sensing", "radar"),
@@ -402,8 +402,8 @@ BAD_INPUT = {
         "human.position: [1e+120, 0.0] should be two numbers",
     ),
     "key_twice": (
-        _text("{ssm: {C_dC: 0.4},\n ssm: {C_dC: 0.9}}"),
-        "--scenario-text:2: ssm: appears twice, first in line 1",
+        _text("{law: {C_dC: 0.4},\n law: {C_dC: 0.9}}"),
+        "--scenario-text:2: law: appears twice, first in line 1",
     ),
     "name_twice_in_a_file": (
         _file("Cell: {}\nOther: {}\nCell: {random_seed: 3}\n"),

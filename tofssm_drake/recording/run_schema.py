@@ -1,5 +1,8 @@
 """JSON schemas of a run's record, in the subset that Foxglove understands.
 
+They depend on the run: it names the watched links and what its law says of
+each.
+
 Foxglove derives the list of what can be plotted from a channel's schema, and
 does not show the channel if it cannot read the schema: each property has one
 type, never null; an object has properties; an array has items of one type.
@@ -11,7 +14,6 @@ import enum
 import numpy as np
 
 from tofssm_drake.messages import (
-    RINGS,
     RingScan,
     RobotReport,
     RobotState,
@@ -26,6 +28,7 @@ _STRING = {"type": "string"}
 _BOOLEAN = {"type": "boolean"}
 _NUMBERS = {"type": "array", "items": _NUMBER}
 _INTEGERS = {"type": "array", "items": _INTEGER}
+_STRINGS = {"type": "array", "items": _STRING}
 
 
 def _make_object(optional=(), **properties):
@@ -60,25 +63,59 @@ def _make_enum(kind: type[enum.IntEnum]):
     }
 
 
+def _make_states(names):
+    """Returns the schema of a state of a link, given the states' names."""
+    return {
+        "oneOf": [
+            {"title": name, "const": number}
+            for number, name in enumerate(names)
+        ]
+    }
+
+
 _SCANS = {
     "type": "array",
     "items": _make_message(RingScan(), ring=_INTEGER),
 }
 
-SCHEMAS = {
-    "/run": _make_object(
-        ("slider_limit",),
-        version=_INTEGER,
-        epoch=_NUMBER,
-        command=_STRING,
-        scenario=_make_object(),
-        virtual_rings=_BOOLEAN,
-        dry_run=_BOOLEAN,
-        minimum_fraction=_NUMBER,
-        slider_limit=_NUMBER,
-        arm=_make_object(**dict.fromkeys(vars(ArmConfig()), _NUMBER)),
-    ),
-    "/tick": _make_object(
+_RUN = _make_object(
+    ("slider_limit",),
+    version=_INTEGER,
+    epoch=_NUMBER,
+    command=_STRING,
+    scenario=_make_object(),
+    links=_STRINGS,
+    law=_make_object(),
+    virtual_rings=_BOOLEAN,
+    dry_run=_BOOLEAN,
+    minimum_fraction=_NUMBER,
+    slider_limit=_NUMBER,
+    arm=_make_object(**dict.fromkeys(vars(ArmConfig()), _NUMBER)),
+)
+
+
+def make_schemas(
+    *,
+    links: tuple[str, ...],
+    states: tuple[str, ...],
+    signals: tuple[str, ...],
+) -> dict[str, dict]:
+    """Returns a schema by topic; the other topics are bytes.
+
+    Args:
+        links: Names of the watched links.
+        states: Names of the law's states of a link; empty: it has none.
+        signals: Names of the law's signals.
+    """
+    return {
+        "/run": _RUN,
+        "/tick": _make_tick(signals),
+        "/monitor": _make_monitor(links, states, signals),
+    }
+
+
+def _make_tick(signals):
+    return _make_object(
         ("sent",),
         time=_NUMBER,
         clock_offset=_NUMBER,
@@ -89,28 +126,43 @@ SCHEMAS = {
             robot_state=_make_enum(RobotState),
             ring_states=_INTEGERS,
             reason=_STRING,
+            target=_NUMBER,
+            deciding_link=_STRING,
+            signals=_make_object(**dict.fromkeys(signals, _NUMBERS)),
             speed_fraction=_NUMBER,
             slider_phase=_make_enum(SliderPhase),
             slider_reason=_STRING,
             distance=_NUMBERS,
-            problem={"type": "array", "items": _STRING},
+            problem=_STRINGS,
             sample_time=_NUMBERS,
         ),
         sent=_NUMBER,
         busy=_NUMBER,
-    ),
-    "/monitor": _make_object(
+    )
+
+
+def _make_monitor(links, states, signals):
+    # A value is left out where there is none.
+    of_links = _make_object(links, **dict.fromkeys(links, _NUMBER))
+    ring_state = {}
+    if states:
+        kinds = dict.fromkeys(links, _make_states(states))
+        ring_state = {"ring_state": _make_object(**kinds)}
+    return _make_object(
         (
             *("q", "qd", "slider_echoed", "speed_scaling", "tcp_speed"),
             "answer_time",
         ),
         time=_NUMBER,
         robot_state=_make_enum(RobotState),
-        ring_state=_make_object(**dict.fromkeys(RINGS, _make_enum(RobotState))),
+        **ring_state,
         reason=_STRING,
-        distance=_make_object(RINGS, **dict.fromkeys(RINGS, _NUMBER)),
-        problem=_make_object(**dict.fromkeys(RINGS, _STRING)),
-        sample_age=_make_object(RINGS, **dict.fromkeys(RINGS, _NUMBER)),
+        target=_NUMBER,
+        deciding_link=_STRING,
+        law=_make_object(**dict.fromkeys(signals, of_links)),
+        distance=of_links,
+        problem=_make_object(**dict.fromkeys(links, _STRING)),
+        sample_age=of_links,
         speed_fraction=_NUMBER,
         slider_commanded=_NUMBER,
         slider_echoed=_NUMBER,
@@ -126,6 +178,4 @@ SCHEMAS = {
         missed=_INTEGER,
         answer_time=_NUMBER,
         busy=_NUMBER,
-    ),
-}
-"""Schema by topic; the other topics are bytes."""
+    )

@@ -73,7 +73,7 @@ VARIANTS = {
             question="What do the corrections of the printed law change?",
             sensings=("tof",),
             configurations=CONFIGURATIONS,
-            changes="{ssm: {literal: true}, separation: {literal: true}}",
+            changes="{law: {literal: true}, separation: {literal: true}}",
         ),
         Variant(
             key="kmax",
@@ -82,7 +82,7 @@ VARIANTS = {
             "one of 3.3 m/s. Does it matter?",
             sensings=("tof", "ideal"),
             configurations=("vr",),
-            changes="{ssm: {k_lmax: 3.3}}",
+            changes="{law: {k_lmax: 3.3}}",
         ),
         Variant(
             key="exact",
@@ -100,7 +100,7 @@ VARIANTS = {
             "computing it takes 0.1 s?",
             sensings=("ideal",),
             configurations=CONFIGURATIONS,
-            changes="{ideal: {latency: 0.1}, ssm: {deadline: 0.2}}",
+            changes="{ideal: {latency: 0.1}, law: {deadline: 0.2}}",
         ),
         _make_lidar_variant(
             "subtracted",
