@@ -125,14 +125,10 @@ def find_factory(factory: str, *, where: str) -> Callable:
         bool(module_name and colon and name.isidentifier()),
         f'{where}: {factory!r} must be "package.module:function"',
     )
-    here = os.getcwd()
-    is_added = here not in sys.path
-    if is_added:
-        sys.path.append(here)
     try:
-        module = importlib.import_module(module_name)
+        module = _import_here(module_name)
     except ModuleNotFoundError as error:
-        if error.name and (module_name + ".").startswith(f"{error.name}."):
+        if error.name and f"{module_name}.".startswith(f"{error.name}."):
             raise UserError(
                 f"{where}: there is no module {module_name!r}, neither "
                 "installed nor in the current folder"
@@ -144,15 +140,22 @@ def find_factory(factory: str, *, where: str) -> Callable:
         raise UserError(
             f"{where}: {module_name} cannot be imported: {_tell(error)}"
         ) from error
-    finally:
-        if is_added:
-            sys.path.remove(here)
     function = getattr(module, name, None)
     require(
         callable(function),
         f"{where}: module {module_name!r} has no function {name!r}",
     )
     return function
+
+
+def _import_here(name):
+    """Imports a module, which may be in the current folder."""
+    before = list(sys.path)
+    sys.path.insert(0, os.getcwd())
+    try:
+        return importlib.import_module(name)
+    finally:
+        sys.path[:] = before
 
 
 def check_law_system(
