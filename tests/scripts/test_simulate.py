@@ -289,6 +289,30 @@ BAD_INPUT = {
         _text("{law: {configuratoin: vr}}"),
         "law.configuratoin: unknown key; did you mean 'configuration'?",
     ),
+    "former_key": (
+        _text("{ssm: {configuration: vr}}"),
+        "--scenario-text:1: ssm: is now called 'law'",
+    ),
+    "law_without_factory": (
+        _text("{law: !Custom {}}"),
+        "law.factory: '' must be",
+    ),
+    "law_from_nowhere": (
+        _text("{law: !Custom {factory: 'no_such.module:make'}}"),
+        "law.factory: there is no module 'no_such.module', neither installed",
+    ),
+    "law_without_such_a_function": (
+        _text("{law: !Custom {factory: 'json:make_law'}}"),
+        "law.factory: module 'json' has no function 'make_law'",
+    ),
+    "law_that_is_none": (
+        _text("{law: !Custom {factory: 'builtins:dict'}}"),
+        "law.factory: builtins:dict: what it returns has no `traits`",
+    ),
+    "law_with_a_list": (
+        _text("{law: !Custom {factory: 'a:b', parameters: {x: [1]}}}"),
+        "law.parameters.x: must be one of: true or false, a whole number",
+    ),
     "misspelt_key_in_a_file": (
         _file("Cell:\n  human:\n    sped: 1.0\n"),
         "cell.yaml:3: Cell.human.sped: unknown key; did you mean 'speed'?",

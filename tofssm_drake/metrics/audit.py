@@ -12,7 +12,7 @@ the greatest of its links. It is given for two speeds of the person:
 - *walking in*: 1.6 m/s towards the robot at all times, which the standard
   asks for where the person's speed is not monitored;
 - *as monitored*: the directed speed of the person as the monitor had it, which
-  the standard allows where it is monitored. Only Vo does that. A link that is
+  the standard allows where it is monitored, as some laws do. A link that is
   clear measures no speed: the monitor then assumes V_hmax, and so does this.
   It is therefore also given *as measured*, over the links that measure a
   distance only, and then says nothing about the others. (In the first frame

@@ -31,7 +31,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from tofssm_drake.errors import UserError
-from tofssm_drake.messages import RINGS, LinkSignal
+from tofssm_drake.messages import LinkSignal
 
 _KEY = b"tofssm"
 
@@ -112,7 +112,7 @@ class Samples:
     @property
     def rings(self) -> tuple[str, ...]:
         """Names of the watched links, in column order."""
-        return tuple(self.metadata.get("rings", RINGS))
+        return tuple(self.metadata.get("rings") or _find_links(self.column))
 
     @property
     def signals(self) -> dict[str, LinkSignal]:
@@ -291,6 +291,12 @@ def read_samples(path: Path, kinds: tuple[str, ...] | None = None) -> Samples:
     return samples
 
 
+def _find_links(names):
+    """Returns the links that columns are of, if the metadata do not say."""
+    end = "_measured_distance"
+    return [name.removesuffix(end) for name in names if name.endswith(end)]
+
+
 def _read_table(path, kinds=None):
     try:
         if kinds is None:
@@ -299,12 +305,11 @@ def _read_table(path, kinds=None):
         metadata = json.loads(
             (file.schema_arrow.metadata or {}).get(_KEY, b"{}")
         )
-        links = metadata.get("rings", RINGS)
+        names = file.schema_arrow.names
+        links = metadata.get("rings") or _find_links(names)
         wanted = {"t", *kinds}
         wanted |= {f"{link}_{kind}" for link in links for kind in kinds}
-        return file.read(
-            [name for name in file.schema_arrow.names if name in wanted]
-        )
+        return file.read([name for name in names if name in wanted])
     except (OSError, pa.ArrowInvalid) as error:
         reason = str(error).splitlines()[0]
         raise UserError(f"{path}: cannot be read: {reason}") from error

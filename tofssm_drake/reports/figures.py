@@ -17,7 +17,7 @@ from matplotlib.patches import Patch, PathPatch, Polygon
 from matplotlib.path import Path
 import numpy as np
 
-from tofssm_drake.messages import RINGS, Reading, RobotState
+from tofssm_drake.messages import Reading, RobotState
 from tofssm_drake.metrics.metrics import StateEvent, find_contacts
 from tofssm_drake.recording.samples import Samples
 
@@ -777,9 +777,9 @@ def _draw_ring_distance(ax, samples, ring, columns, narrow):
         true,
         narrow,
         linewidth=1.0,
-        label="true, from link centre"
-        if ring in RINGS
-        else f"true, from the {ring}",
+        label=f"true, from the {ring}"
+        if samples.metadata.get("sensing") == "lidar"
+        else "true, from link centre",
     )
     _draw_least(
         ax, t, measured, narrow, color=BLUE, linewidth=1.6, label="measured"
