@@ -48,7 +48,7 @@ def make_run_scenario(
     """
     scenario = copy.deepcopy(base)
     cell, trial = run.cell, run.trial
-    scenario.ssm.configuration = cell.configuration
+    scenario.law.configuration = cell.configuration
     scenario.sensors = _choose_sensors(base, cell.sensing)
     if cell.variant:
         scenario = change_scenario(

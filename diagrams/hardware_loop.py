@@ -11,7 +11,7 @@ from pydrake.systems.framework import Context
 from tofssm_drake.arms.kinematics import RingKinematics
 from tofssm_drake.diagrams.hardware_station import make_hardware_station
 from tofssm_drake.diagrams.held_connections import HeldRings, HeldRobot
-from tofssm_drake.diagrams.scenario import Scenario, make_law
+from tofssm_drake.diagrams.scenario import Scenario
 from tofssm_drake.diagrams.sensors.rings import find_rings
 from tofssm_drake.diagrams.simulation import make_simulator
 from tofssm_drake.diagrams.workcell import Workcell, make_workcell
@@ -21,6 +21,7 @@ from tofssm_drake.messages import (
     RobotReport,
     RobotState,
     Separation,
+    SpeedDecision,
 )
 from tofssm_drake.rtde.slider import (
     SliderConfig,
@@ -59,10 +60,7 @@ class TickResult:
 
     time: float
     """Diagram's time, s."""
-    robot_state: int
-    """Number of the state."""
-    ring_states: tuple[int, ...]
-    reason: str
+    decision: SpeedDecision
     problem: str
     """Why the sensing is not fresh and healthy; empty: it is."""
     speed_fraction: float
@@ -72,6 +70,16 @@ class TickResult:
     task_done: bool
     sent: float
     """Host's time at which the command was handed over, s; NaN: it was not."""
+
+    @property
+    def robot_state(self) -> RobotState:
+        """What the law's target amounts to."""
+        return self.decision.robot_state
+
+    @property
+    def reason(self) -> str:
+        """The law's reason, in one line."""
+        return self.decision.reason
 
     @property
     def health(self) -> str:
@@ -139,19 +147,14 @@ class HardwareLoop:
         self._scenario = scenario
         self._sending = False
         self._send = send
-        self._deadline = make_law(scenario).deadline
+        law = scenario.law.traits
+        self._deadline = law.deadline
         slider = SliderConfig() if slider is None else slider
         self._station = make_hardware_station(
             scenario,
             robot=HeldRobot(self._send_if_live),
-            rings=(
-                None
-                if virtual_rings
-                else HeldRings(tuple(find_rings(scenario.sensors)))
-            ),
-            slider=dc.replace(
-                slider, reduced_fraction=scenario.ssm.rho_reduced
-            ),
+            rings=None if virtual_rings else HeldRings(),
+            slider=dc.replace(slider, reduced_fraction=law.reduced_fraction),
             gripper_output=gripper_output,
         )
         self._workcell = make_workcell(
@@ -231,11 +234,7 @@ class HardwareLoop:
         report, monitor = given.report, self._monitor
         return TickResult(
             time=given.time,
-            robot_state=int(self._ask(monitor, "robot_state")[0]),
-            ring_states=tuple(
-                int(s) for s in self._ask(monitor, "ring_states")
-            ),
-            reason=self._ask(monitor, "reason"),
+            decision=self._ask(monitor, "decision"),
             problem=self._ask(self._problem, "problem"),
             speed_fraction=float(self._ask(monitor, "speed_fraction")[0]),
             slider=self._ask(self._slider, "slider"),

@@ -1,13 +1,14 @@
 """Runs the same monitor on a run's recorded input."""
 
 import dataclasses as dc
+import json
 
 import yaml
 
 from tofssm_drake.diagrams.hardware_loop import HardwareLoop, TickInput
 from tofssm_drake.diagrams.hardware_run import describe_state
 from tofssm_drake.diagrams.scenario import Scenario, change_scenario
-from tofssm_drake.recording.run_record import RunReader
+from tofssm_drake.recording.run_record import RunReader, encode_json
 from tofssm_drake.rtde.arm_obedience import ArmConfig
 from tofssm_drake.rtde.slider import SliderConfig
 
@@ -38,7 +39,9 @@ def replay_record(reader: RunReader) -> ReplayResult:
     run = reader.run
     loop = HardwareLoop(
         scenario=change_scenario(
-            Scenario(), yaml.safe_dump(run["scenario"]), source="the record"
+            Scenario(),
+            yaml.safe_dump(_get_scenario(run)),
+            source="the record",
         ),
         virtual_rings=run["virtual_rings"],
         slider=SliderConfig(
@@ -60,7 +63,9 @@ def replay_record(reader: RunReader) -> ReplayResult:
         )
         ticks += 1
         end_time = tick.time
-        now = describe_state(result) | vars(result.slider.command)
+        # As it would have been written: a number that is none is null.
+        state = json.loads(encode_json(describe_state(result)))
+        now = state | vars(result.slider.command)
         then = tick.state | vars(tick.command)
         changed = [name for name in then if now.get(name) != then[name]]
         if changed:
@@ -72,3 +77,11 @@ def replay_record(reader: RunReader) -> ReplayResult:
     return ReplayResult(
         ticks=ticks, end_time=end_time, differences=differences, first=first
     )
+
+
+def _get_scenario(run):
+    """Returns a record's scenario with the keys of today."""
+    scenario = dict(run["scenario"])
+    if run["version"] < 5:
+        scenario["law"] = {"kind": "TriSsm", **scenario.pop("ssm")}
+    return scenario

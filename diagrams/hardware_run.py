@@ -468,11 +468,16 @@ def make_recorded_tick(given: TickInput, result: TickResult) -> RecordedTick:
 
 def describe_state(result: TickResult) -> dict:
     """Returns the monitor's results in a tick as plain values."""
+    decision = result.decision
     return {
-        "robot_state": result.robot_state,
-        "links": list(result.separation.name),
-        "ring_states": list(result.ring_states),
-        "reason": result.reason,
+        "robot_state": int(result.robot_state),
+        "ring_states": decision.state.tolist(),
+        "reason": decision.reason,
+        "target": decision.target,
+        "deciding_link": decision.link,
+        "signals": {
+            name: values.tolist() for name, values in decision.signal.items()
+        },
         "speed_fraction": result.speed_fraction,
         "slider_phase": int(result.slider.phase),
         "slider_reason": result.slider.reason,

@@ -8,7 +8,7 @@ from pydrake.systems.primitives import ConstantVectorSource
 from tofssm_drake.arms.kinematics import RingKinematics
 from tofssm_drake.diagrams.held_connections import HeldRings, HeldRobot
 from tofssm_drake.diagrams.ring_world import add_ring_world, make_scene
-from tofssm_drake.diagrams.scenario import Scenario, make_law
+from tofssm_drake.diagrams.scenario import Scenario
 from tofssm_drake.diagrams.sensors.rings import find_rings
 from tofssm_drake.diagrams.station import Station
 from tofssm_drake.laws.sensing_problem import SensingProblem
@@ -123,7 +123,7 @@ def make_hardware_station(
         joint_speeds=tuple(plant.GetVelocityUpperLimits()[:6].tolist()),
     )
     _add_slider(
-        builder, subscriber, commanded, slider, make_law(scenario).deadline
+        builder, subscriber, commanded, slider, scenario.law.traits.deadline
     )
     for name in _REPORTED:
         builder.ExportOutput(receiver.GetOutputPort(name), name)

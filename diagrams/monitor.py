@@ -7,7 +7,11 @@ from pydrake.systems.framework import Diagram, DiagramBuilder
 
 from tofssm_drake.arms.cell_plant import make_cell_plant
 from tofssm_drake.arms.kinematics import RingKinematics
-from tofssm_drake.diagrams.scenario import Scenario, make_law
+from tofssm_drake.diagrams.scenario import (
+    Scenario,
+    find_links,
+    find_threshold_offsets,
+)
 from tofssm_drake.diagrams.sensors import (
     Monitor,
     add_sensors_to_monitor,
@@ -20,9 +24,7 @@ from tofssm_drake.diagrams.sensors.rings import (
     group_rings,
     make_group_self_hits,
 )
-from tofssm_drake.laws.dsi_filter import DsiFilter
 from tofssm_drake.laws.speed_fraction import SpeedFractionTrajectory
-from tofssm_drake.laws.tri_ssm import TriSsmState
 from tofssm_drake.perception.self_hit_coverage import (
     calc_verifiable_share,
     tell_coverage,
@@ -51,11 +53,8 @@ def make_monitor(
         - scan_tool
         output_ports:
         - speed_fraction
-        - robot_state
-        - ring_states
-        - reason
+        - decision
         - separation
-        - dsi
         - masked_scan_base
         - masked_scan_elbow
         - masked_scan_tool
@@ -85,7 +84,7 @@ def make_monitor(
     builder = DiagramBuilder()
     monitor = make_twin(builder, scenario, person_radii)
     sensing = add_sensors_to_monitor(monitor, scenario.sensors)
-    _add_law(builder, scenario, fuse(monitor, sensing), monitor)
+    _add_law(builder, scenario, fuse(monitor, sensing))
     for part in sensing:
         for name, port in part.outputs.items():
             builder.ExportOutput(port, name)
@@ -124,7 +123,7 @@ def make_twin(
         builder=builder,
         settings=MonitorSettings(
             control_period=scenario.control_period,
-            k_max=scenario.ssm.k_omax,
+            k_max=scenario.law.traits.k_max,
             mask=scenario.mask,
             self_hits=scenario.self_hits,
             separation=scenario.separation,
@@ -138,34 +137,34 @@ def make_twin(
     )
 
 
-def _add_law(builder, scenario, separation, monitor):
-    """Adds filter, states and speed fraction; exports all their signals."""
-    law, links = make_law(scenario), monitor.kinematics.name
-    dsi_filter = builder.AddNamedSystem(
-        "dsi_filter",
-        DsiFilter(config=law, period=scenario.control_period, name=links),
-    )
-    state = builder.AddNamedSystem(
-        "tri_ssm", TriSsmState(config=law, name=links)
+def _add_law(builder, scenario, separation):
+    """Adds the law and the speed fraction; exports what they say."""
+    links = find_links(scenario)
+    law = builder.AddNamedSystem(
+        "law",
+        scenario.law.make(
+            links=links,
+            offset=find_threshold_offsets(scenario),
+            period=scenario.control_period,
+        ),
     )
     trajectory = builder.AddNamedSystem(
         "speed_fraction",
-        SpeedFractionTrajectory(config=law, period=scenario.control_period),
+        SpeedFractionTrajectory(
+            name=links,
+            ramp=scenario.law.traits.ramp,
+            period=scenario.control_period,
+        ),
     )
-    builder.Connect(separation, dsi_filter.GetInputPort("separation"))
-    builder.Connect(dsi_filter.GetOutputPort("dsi"), state.GetInputPort("dsi"))
-    for system in (dsi_filter, trajectory):
-        builder.Connect(
-            state.GetOutputPort("robot_state"),
-            system.GetInputPort("robot_state"),
-        )
-    for system, names in (
-        (trajectory, ("speed_fraction",)),
-        (state, ("robot_state", "ring_states", "reason")),
-        (dsi_filter, ("dsi",)),
+    builder.Connect(separation, law.GetInputPort("separation"))
+    builder.Connect(
+        law.GetOutputPort("decision"), trajectory.GetInputPort("decision")
+    )
+    for system, name in (
+        (trajectory, "speed_fraction"),
+        (law, "decision"),
     ):
-        for name in names:
-            builder.ExportOutput(system.GetOutputPort(name), name)
+        builder.ExportOutput(system.GetOutputPort(name), name)
     builder.ExportOutput(separation, "separation")
 
 

@@ -23,7 +23,7 @@ def make_ring_budget(
     return RingBudget(
         period=period,
         max_age=calc_max_age(
-            T_R=scenario.ssm.T_R,
+            T_R=scenario.law.traits.T_R,
             period=period,
             monitor_time=audit.monitor_time,
             control_period=control_period,

@@ -11,11 +11,13 @@ import yaml
 from tofssm_drake.diagrams.scenario import (
     Scenario,
     dump_scenario,
-    make_law,
+    find_links,
+    find_threshold_offsets,
 )
 from tofssm_drake.diagrams.sensors import MotionCapture, PlanarLidar
 from tofssm_drake.diagrams.sensors.rings import Ring, find_rings
 from tofssm_drake.diagrams.station import Station
+from tofssm_drake.laws.law import describe_law
 from tofssm_drake.metrics.audit import make_audit_metadata
 from tofssm_drake.metrics.standards import make_latency_budget
 from tofssm_drake.people.skeleton import CAPSULES
@@ -52,7 +54,7 @@ def make_run_metadata(
     rings = find_rings(scenario.sensors)
     return {
         "scenario": describe_scenario(scenario),
-        "ssm": scenario.ssm.configuration,
+        "law": describe_law(scenario.law),
         "sensing": describe_sensing(scenario),
         "seed": scenario.random_seed,
         "human": ", ".join(
@@ -72,7 +74,14 @@ def make_run_metadata(
         "ring_geometry": _describe_rings(rings, station),
         "audit": make_audit_metadata(
             config=scenario.audit,
-            ssm=make_law(scenario),
+            law=scenario.law.traits,
+            offset=dict(
+                zip(
+                    find_links(scenario),
+                    find_threshold_offsets(scenario).tolist(),
+                    strict=True,
+                )
+            ),
             latency=_calc_latency(scenario),
         ),
         "link_offset_m": _find_link_offsets(scenario, station),

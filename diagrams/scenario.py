@@ -7,6 +7,7 @@ import pathlib
 import re
 import types
 import typing
+from typing import ClassVar
 
 import numpy as np
 from pydrake.common.yaml import yaml_load_typed
@@ -25,7 +26,8 @@ from tofssm_drake.diagrams.yaml_check import (
     parse_yaml,
 )
 from tofssm_drake.errors import UserError, require
-from tofssm_drake.laws.config import SsmConfig
+from tofssm_drake.laws.custom_law import Custom
+from tofssm_drake.laws.tri_ssm_law import TriSsm
 from tofssm_drake.metrics.standards import AuditConfig
 from tofssm_drake.people.bvh import BvhRecording
 from tofssm_drake.people.custom_motion import CustomMotion
@@ -38,23 +40,24 @@ from tofssm_drake.tasks.program import ProgramConfig
 
 _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 
-# Keys of before, and what they are called now.
-_OLD_KEYS = {
-    "human": "people.<name>",
-    "sensors_per_ring": "sensors.<ring>.count",
-    "sensing": "sensors, e.g. of the scenario MotionCapture or PlanarLidar",
-    "rings": "sensors.<ring>.sensor",
-    "ring_phases": "sensors.<ring>.phase",
-    "dead_sensors": "sensors.<ring>.dead_sensors",
-    "ideal": "sensors.<name>: !MotionCapture",
-    "lidar": "sensors.<name>: !PlanarLidar",
-    "lidar_separation": "sensors.<name>.separation of a !PlanarLidar",
-}
-
 
 @dc.dataclass(kw_only=True)
 class Scenario:
     """All settings of a run; the same scenario gives the same run."""
+
+    RENAMED: ClassVar[dict[str, str]] = {
+        "ssm": "law",
+        "human": "people.<name>",
+        "sensors_per_ring": "sensors.<ring>.count",
+        "sensing": "sensors, as in the scenarios MotionCapture, PlanarLidar",
+        "rings": "sensors.<ring>.sensor",
+        "ring_phases": "sensors.<ring>.phase",
+        "dead_sensors": "sensors.<ring>.dead_sensors",
+        "ideal": "sensors.<name>: !MotionCapture",
+        "lidar": "sensors.<name>: !PlanarLidar",
+        "lidar_separation": "sensors.<name>.separation of a !PlanarLidar",
+    }
+    """Former keys and what they are called now, for the error message."""
 
     # Seed of every random draw: the sensors' constant errors and their noise.
     random_seed: int = 0
@@ -100,7 +103,7 @@ class Scenario:
     separation: SeparationConfig = dc.field(default_factory=SeparationConfig)
 
     # The safety law.
-    ssm: SsmConfig = dc.field(default_factory=SsmConfig)
+    law: TriSsm | Custom = dc.field(default_factory=TriSsm)
 
     # Assumptions of the audit; they do not affect the run.
     audit: AuditConfig = dc.field(default_factory=AuditConfig)
@@ -184,30 +187,21 @@ def find_lidars(scenario: Scenario) -> dict[str, PlanarLidar]:
     }
 
 
-def make_law(scenario: Scenario) -> SsmConfig:
-    """Returns the law's settings for the sensors.
+def find_threshold_offsets(scenario: Scenario) -> np.ndarray:
+    """Returns by how much the law's distances are greater at each link, m.
 
     A lidar's distances are measured from itself. If they are used as they
-    are, the law's constant distances grow by the radius of the robot's
-    workspace (paper, Table: C_dC = r_o + 0.3 m).
+    are, they include the radius of the robot's workspace (paper, Table:
+    C_dC = r_o + 0.3 m).
+
+    Returns:
+        Shape (m,), in the order of `find_links`.
     """
-    offsets = {
-        lidar.separation.threshold_offset
-        for lidar in find_lidars(scenario).values()
+    more = {
+        name: lidar.separation.threshold_offset
+        for name, lidar in find_lidars(scenario).items()
     }
-    offset = max(offsets, default=0.0)
-
-    def grow(distance):
-        # Exact in decimals: 0.3 + 0.82 is 1.12.
-        return round(distance + offset, 12)
-
-    ssm = scenario.ssm
-    return dc.replace(
-        ssm,
-        C_dC=grow(ssm.C_dC),
-        d_C_sm=grow(ssm.d_C_sm),
-        d_R_sm=grow(ssm.d_R_sm),
-    )
+    return np.array([more.get(link, 0.0) for link in find_links(scenario)])
 
 
 def find_default_scenarios() -> pathlib.Path:
@@ -324,22 +318,11 @@ def _change(settings, node, source, where, *, replace):
             `settings`; else it changes the names that it has, and removes
             those that are null.
     """
-    if type(settings) is Scenario:
-        _refuse_old_keys(node, source, where)
     if not replace:
         settings = _remove_names(node, settings)
         _keep_kinds(node, settings)
     check_yaml(node, type(settings), source, where)
     return _load(source, node, settings, retain_map_defaults=not replace)
-
-
-def _refuse_old_keys(node, source, where):
-    """Raises UserError for a key of before, and names the new one."""
-    for key, child in get_children(node).items():
-        if key in _OLD_KEYS:
-            line = child.start_mark.line + 1
-            path = f"{where}.{key}" if where else key
-            raise UserError(f"{source}:{line}: {path}: is now {_OLD_KEYS[key]}")
 
 
 def _remove_names(node, settings):

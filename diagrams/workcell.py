@@ -102,6 +102,7 @@ def _add_recorder(builder, scenario, station, monitor):
             motions=station.people.motions,
             period=scenario.control_period,
             rings=find_links(scenario),
+            signals=tuple(scenario.law.traits.signals),
             num_sensors={n: ring.num_sensors for n, ring in rings.items()},
             metadata=make_run_metadata(scenario, station, truth.body_names),
         ),
@@ -116,10 +117,8 @@ def _add_recorder(builder, scenario, station, monitor):
         )
     for name in (
         "speed_fraction",
-        "ring_states",
-        "reason",
+        "decision",
         "separation",
-        "dsi",
         *(f"masked_scan_{ring}" for ring in rings),
     ):
         builder.Connect(
@@ -159,10 +158,11 @@ def _add_display(builder, scenario, station, monitor, meshcat):
         MeshcatVisualizerParams(role=Role.kIllustration, publish_period=period),
     )
     light = builder.AddNamedSystem(
-        "state_light", StateLight(meshcat=meshcat, period=period)
+        "state_light",
+        StateLight(meshcat=meshcat, links=find_links(scenario), period=period),
     )
     builder.Connect(
-        monitor.GetOutputPort("robot_state"), light.GetInputPort("robot_state")
+        monitor.GetOutputPort("decision"), light.GetInputPort("decision")
     )
     groups = group_rings(find_rings(scenario.sensors))
     for i, group in enumerate(groups):

@@ -160,8 +160,8 @@ def check_yaml(
 
     Args:
         node: the document's node.
-        schema: what the node must be: a dataclass, a union of dataclasses, a
-            scalar type, list[T], dict[str, T] or np.ndarray.
+        schema: what the node must be: a dataclass, a union of dataclasses or
+            of scalar types, a scalar type, list[T], dict[str, T] or np.ndarray.
         source: the document's name in an error.
         where: path of keys to the node.
 
@@ -204,6 +204,9 @@ def _check_settings(node, schema, source, where):
     for key, child in get_children(node).items():
         path = f"{where}.{key}" if where else key
         if key not in known:
+            now = getattr(schema, "RENAMED", {}).get(key)
+            if now:
+                _fail(child, source, path, f"is now {now}")
             near = difflib.get_close_matches(key, known, n=1)
             right = (
                 f"did you mean {near[0]!r}?"
@@ -270,11 +273,16 @@ def _is_number(node, kind):
 
 
 def _choose(node, members, source, where):
-    """Returns the union's member named by the node's tag; None for null."""
+    """Returns the union's member that a node is; None for null.
+
+    Of dataclasses the node's tag names it.
+    """
     kind = node.tag.rpartition(":")[2]
     if kind == "null" and type(None) in members:
         return None
     members = [m for m in members if m is not type(None)]
+    if len(members) > 1 and set(members) <= set(_SCALARS):
+        return _choose_scalar(node, members, source, where)
     if not node.tag.startswith("!"):
         return members[0]
     for member in members:
@@ -282,3 +290,15 @@ def _choose(node, members, source, where):
             return member
     names = ", ".join(f"!{m.__name__}" for m in members)
     _fail(node, source, where, f"unknown kind {node.tag}; one of {names}")
+
+
+def _choose_scalar(node, members, source, where):
+    """Returns which of several scalar types a node is."""
+    kind = node.tag.rpartition(":")[2]
+    if kind == "str" and _is_number(node, kind):
+        kind = "float"
+    for member in members:
+        if isinstance(node, yaml.ScalarNode) and member.__name__ == kind:
+            return member
+    words = ", ".join(_WORDS[member] for member in members)
+    _fail(node, source, where, f"must be one of: {words}")

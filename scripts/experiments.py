@@ -30,11 +30,12 @@ from tofssm_drake.diagrams.scenario import (
     Scenario,
     dump_scenario,
     find_lidars,
+    find_threshold_offsets,
     load_scenario,
-    make_law,
 )
 from tofssm_drake.errors import require
 from tofssm_drake.laws.config import CONFIGURATIONS
+from tofssm_drake.laws.tri_ssm_law import TriSsm
 from tofssm_drake.paper.campaign import (
     SENSINGS,
     VARIANTS,
@@ -291,6 +292,11 @@ def make_command(
 def require_free(scenario: Scenario) -> None:
     """Raises UserError if the text changes what cells or trials decide."""
     default = load_scenario()
+    require(
+        isinstance(scenario.law, TriSsm),
+        "--scenario-text: law: must be !TriSsm, whose configurations the "
+        "campaign compares",
+    )
     people = copy.deepcopy(default.people)
     for name, person in people.items():
         changed = scenario.people.get(name)
@@ -299,8 +305,8 @@ def require_free(scenario: Scenario) -> None:
         "sensors": [(n, type(s)) for n, s in scenario.sensors.items()]
         == [(n, type(s)) for n, s in default.sensors.items()],
         "random_seed": scenario.random_seed == default.random_seed,
-        "ssm.configuration": scenario.ssm.configuration
-        == default.ssm.configuration,
+        "law.configuration": scenario.law.configuration
+        == default.law.configuration,
         "people": scenario.people == people,
     }.items():
         require(
@@ -410,7 +416,10 @@ def list_parameters(
         for cell in plan.cells
         if not cell.variant
     }
-    laws = {sensing: make_law(s) for sensing, s in scenarios.items()}
+    laws = {
+        sensing: s.law.grow(float(find_threshold_offsets(s)[0]))
+        for sensing, s in scenarios.items()
+    }
     radii = {
         sensing: lidar.separation.workspace_radius
         for sensing, s in scenarios.items()
@@ -418,7 +427,7 @@ def list_parameters(
     }
 
     def row(name, text):
-        return name, {s: text(ssm) for s, ssm in laws.items()}
+        return name, {s: text(law) for s, law in laws.items()}
 
     return [
         row(

@@ -221,11 +221,11 @@ def _make_slider_config(minimum_fraction, slider_limit, scenario):
     }
     with options.blame(option):
         config.check("slider")
-    reduced = scenario.ssm.rho_reduced
+    reduced = scenario.law.traits.reduced_fraction
     require(
         minimum_fraction < reduced,
-        f"--minimum-fraction: must be below ssm.rho_reduced, {reduced:g}, "
-        f"got {minimum_fraction:g}",
+        "--minimum-fraction: must be below the law's reduced speed fraction, "
+        f"{reduced:g}, got {minimum_fraction:g}",
     )
     config.reduced_fraction = reduced
     return config

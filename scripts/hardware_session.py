@@ -28,6 +28,7 @@ from tofssm_drake.diagrams.scenario import (
 )
 from tofssm_drake.diagrams.simulation import Progress
 from tofssm_drake.errors import UserError
+from tofssm_drake.laws.law import describe_law
 from tofssm_drake.recording.run_record import RunRecorder
 from tofssm_drake.reports.report import count_of
 from tofssm_drake.ringlink.ring_address import SerialAddress, UdpAddress
@@ -268,6 +269,8 @@ def _begin(settings, loop, robot, first, recorder):
         recorder.add_run(
             {
                 "scenario": dump_scenario(scenario),
+                "links": find_links(scenario),
+                "law": describe_law(scenario.law),
                 "virtual_rings": settings.is_virtual,
                 "minimum_fraction": settings.slider.minimum_fraction,
                 "dry_run": settings.is_dry_run,

@@ -30,6 +30,7 @@ from tofssm_drake.diagrams.simulation import Progress, Run
 from tofssm_drake.diagrams.workcell import Workcell, make_workcell
 from tofssm_drake.errors import UserError, require
 from tofssm_drake.laws.config import CONFIGURATIONS
+from tofssm_drake.laws.tri_ssm_law import TriSsm
 from tofssm_drake.metrics.metrics import calc_summary
 from tofssm_drake.people.bvh import BvhRecording
 from tofssm_drake.recording.samples import (
@@ -200,7 +201,12 @@ def override(
         UserError: A value is unknown or out of range.
     """
     if ssm is not None:
-        scenario.ssm.configuration = _choose("--ssm", ssm, CONFIGURATIONS)
+        require(
+            isinstance(scenario.law, TriSsm),
+            "--ssm: is for the law !TriSsm, the scenario has "
+            f"!{type(scenario.law).__name__}",
+        )
+        scenario.law.configuration = _choose("--ssm", ssm, CONFIGURATIONS)
     changed = {}
     if human_motion is not None:
         require(

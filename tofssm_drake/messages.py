@@ -7,18 +7,36 @@ and cannot disagree.
 `n` is the number of sensors of a ring, `m` the number of watched links.
 """
 
+from collections.abc import Mapping
 import dataclasses as dc
 import enum
+import types
 
 import numpy as np
 
 
 class RobotState(enum.IntEnum):
-    """TriSSM state psi (paper, II-A)."""
+    """How fast the robot may be: the paper's TriSSM state psi (II-A).
+
+    Of a law without such states it is what its target speed fraction amounts
+    to, see `classify_target`.
+    """
 
     STOP = 0
     REDUCED = 1
     NORMAL = 2
+
+
+def classify_target(target: float) -> RobotState:
+    """Returns what a target speed fraction amounts to.
+
+    Args:
+        target: 0 is stop, 1 normal, anything between reduced; whatever is not
+            a number from 0 to 1 is stop.
+    """
+    if not 0.0 < target <= 1.0:
+        return RobotState.STOP
+    return RobotState.NORMAL if target == 1.0 else RobotState.REDUCED
 
 
 class Reading(enum.IntEnum):
@@ -270,6 +288,60 @@ class SafetyIndex(_Frozen):
     """As in `Separation`."""
 
 
+@dc.dataclass(frozen=True, kw_only=True)
+class LinkSignal:
+    """What one of a law's signals is; there is a value for each link."""
+
+    unit: str = ""
+    """Of the values; empty: a plain number."""
+    meaning: str = ""
+    """In a few words, for whoever reads the record."""
+    bound: str = ""
+    """"stop" or "slow": a measured distance, m, at which the law stops or
+    slows the robot. Metrics and figures compare distances with it."""
+    is_drawn: bool = True
+    """Whether the report draws it over time, if it is not a bound."""
+
+
+@dc.dataclass(frozen=True, eq=False, kw_only=True)
+class SpeedDecision(_Frozen):
+    """What a safety law decided, and why; the same message for every law."""
+
+    name: tuple[str, ...]
+    """The m watched links."""
+    target: float = 0.0
+    """Speed fraction to go to, 0 to 1; anything else stops the robot."""
+    link: str = ""
+    """The link that decided; empty: none did."""
+    reason: str = ""
+    """Why the target is what it is, in one line."""
+    state: np.ndarray = dc.field(
+        default_factory=lambda: np.empty(0, dtype=np.int8)
+    )
+    """State of each link, (m,); (0,) if the law has no such states. The names
+    of the states are the law's."""
+    signal: Mapping[str, np.ndarray] = dc.field(default_factory=dict)
+    """Further values of each link by name, (m,); the law says what they are,
+    see `LinkSignal`."""
+
+    def __post_init__(self):
+        super().__post_init__()
+        signal = types.MappingProxyType(dict(self.signal))
+        for values in signal.values():
+            values.setflags(write=False)
+        object.__setattr__(self, "signal", signal)
+
+    @property
+    def safe_target(self) -> float:
+        """`target`, but 0 if that is not a number from 0 to 1."""
+        return self.target if 0.0 < self.target <= 1.0 else 0.0
+
+    @property
+    def robot_state(self) -> RobotState:
+        """What the target amounts to."""
+        return classify_target(self.target)
+
+
 @dc.dataclass(frozen=True, eq=False, kw_only=True)
 class RobotReport(_Frozen):
     """What a real robot reports about itself in one package.
@@ -390,6 +462,22 @@ def make_empty_safety_index(name: tuple[str, ...]) -> SafetyIndex:
         dsi_C=np.zeros(m),
         dsi_R=np.zeros(m),
         health=np.full(m, RingHealth.FAULTED),
+    )
+
+
+def make_empty_decision(
+    name: tuple[str, ...], signals: tuple[str, ...] = ()
+) -> SpeedDecision:
+    """Returns the decision before anything is known: stop.
+
+    Args:
+        name: The m watched links.
+        signals: Names of the law's signals; their values are NaN.
+    """
+    return SpeedDecision(
+        name=tuple(name),
+        reason="stop: nothing is known yet",
+        signal={s: np.full(len(name), np.nan) for s in signals},
     )
 
 

@@ -34,7 +34,7 @@ class Looker:
     def __init__(self, workcell, products):
         self._station = workcell.station.diagram
         self._monitor = workcell.diagram.GetSubsystemByName("monitor")
-        self._reason = self._monitor.GetOutputPort("reason")
+        self._decision = self._monitor.GetOutputPort("decision")
         plant = workcell.station.plant
         (gripper,) = plant.GetBodyIndices(
             plant.GetModelInstanceByName("gripper")
@@ -61,9 +61,9 @@ class Looker:
             placed=int(read("products_placed")[0]),
             X_WG=X_WF[0],
             X_WP=X_WF[1:],
-            reason=self._reason.Eval(
+            reason=self._decision.Eval(
                 self._monitor.GetMyContextFromRoot(root_context)
-            ),
+            ).reason,
         )
 
 

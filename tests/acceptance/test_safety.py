@@ -60,7 +60,7 @@ def get_joint_speeds(samples):
 
 @pytest.fixture(params=CONFIGURATIONS)
 def text(request):
-    return f"{{ssm: {{configuration: {request.param}}}}}"
+    return f"{{law: {{configuration: {request.param}}}}}"
 
 
 @pytest.fixture
@@ -372,6 +372,6 @@ class TestBrokenSensing:
 def test_the_same_law_in_every_run():
     """The runs above differ only in the configuration."""
     for name in CONFIGURATIONS:
-        scenario = load_scenario(text=f"{{ssm: {{configuration: {name}}}}}")
-        scenario.ssm.configuration = "vo"
+        scenario = load_scenario(text=f"{{law: {{configuration: {name}}}}}")
+        scenario.law.configuration = "vo"
         assert scenario == load_scenario()

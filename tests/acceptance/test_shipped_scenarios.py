@@ -18,7 +18,7 @@ def test_scenario_runs(run, name):
 @pytest.mark.parametrize("ssm", ["vo", "vr", "sm"])
 class TestThePapersCell:
     def text(self, ssm):
-        return f"{{ssm: {{configuration: {ssm}}}}}"
+        return f"{{law: {{configuration: {ssm}}}}}"
 
     def test_ten_products_are_placed(self, run, ssm):
         _, summary = run(text=self.text(ssm))
@@ -75,13 +75,13 @@ def test_without_a_person_nothing_stops_the_robot(run):
     # The rings do see robot and cell all the time.
     assert all((samples[f"{ring}_masked"] > 0).any() for ring in RINGS)
     for ssm in ("vo", "vr", "sm"):
-        _, summary = run(text=f"{{ssm: {{configuration: {ssm}}}}}")
+        _, summary = run(text=f"{{law: {{configuration: {ssm}}}}}")
         assert alone["task_time_s"] < summary["task_time_s"]
 
 
 @pytest.mark.parametrize("ssm", ["vo", "vr", "sm"])
 def test_without_the_mask_the_robot_stops_at_itself(run, ssm):
-    _, summary = run("NoMask", f"{{ssm: {{configuration: {ssm}}}}}")
+    _, summary = run("NoMask", f"{{law: {{configuration: {ssm}}}}}")
     assert summary["stop_events"] > 0
     assert summary["stopped_s"] > 1.0
 

@@ -74,13 +74,17 @@ class Rig:
         return self.monitor.GetOutputPort(name).Eval(self.context)
 
     @property
+    def decision(self):
+        return self.eval("decision")
+
+    @property
     def is_due(self):
         """Whether the rings deliver at this tick."""
         return self.tick % round(PERIOD / TICK) == 0
 
     @property
     def state(self):
-        return self.eval("robot_state")[0]
+        return self.decision.robot_state
 
     @property
     def rho(self):

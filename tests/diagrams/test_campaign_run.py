@@ -12,8 +12,8 @@ import pyarrow.parquet as pq
 import tofssm_drake.diagrams.campaign_run as mut
 from tofssm_drake.diagrams.scenario import (
     dump_scenario,
+    find_threshold_offsets,
     load_scenario,
-    make_law,
 )
 from tofssm_drake.diagrams.sensors import MotionCapture
 from tofssm_drake.laws.config import CONFIGURATIONS
@@ -48,7 +48,7 @@ class TestScenario(unittest.TestCase):
                     scenario = mut.make_run_scenario(self.base, run)
                     scenario.check()
                     self.assertEqual(scenario.random_seed, run.trial.seed)
-                    self.assertEqual(scenario.ssm.configuration, configuration)
+                    self.assertEqual(scenario.law.configuration, configuration)
         self.assertEqual(dump_scenario(self.base), before)
 
     def test_sensing(self):
@@ -77,7 +77,8 @@ class TestScenario(unittest.TestCase):
             ("ideal", (0.3, 0.5, 1.1)),
             ("lidar", (1.12, 1.32, 1.92)),
         ):
-            law = make_law(mut.make_run_scenario(self.base, make_run(sensing)))
+            scenario = mut.make_run_scenario(self.base, make_run(sensing))
+            law = scenario.law.grow(find_threshold_offsets(scenario)[0])
             self.assertEqual((law.C_dC, law.d_C_sm, law.d_R_sm), expected)
             self.assertEqual((law.T_red, law.T_stop, law.T_R), (0.4, 0.4, 0.1))
             self.assertEqual((law.alpha_I, law.alpha_D), (0.3, 0.8))
@@ -114,7 +115,7 @@ class TestScenario(unittest.TestCase):
                     for sensor in changed.sensors.values():
                         if isinstance(sensor, MotionCapture):
                             self.assertGreaterEqual(
-                                changed.ssm.deadline, sensor.latency + 0.1
+                                changed.law.deadline, sensor.latency + 0.1
                             )
 
     def test_nobody_there(self):

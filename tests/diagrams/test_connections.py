@@ -76,8 +76,8 @@ class TestPorts(unittest.TestCase):
         self.assertEqual(
             set(get_outputs(self.monitor)),
             {
-                *("speed_fraction", "robot_state", "ring_states", "reason"),
-                *("separation", "dsi", "self_hit_health"),
+                *("speed_fraction", "decision"),
+                *("separation", "self_hit_health"),
                 *(f"masked_scan_{ring}" for ring in RINGS),
             },
         )
@@ -172,7 +172,7 @@ class TestConnections(unittest.TestCase):
             kinds,
             {
                 *("Multiplexer", "OcclusionMask", "TofSeparation", "DsiFilter"),
-                *("TriSsmState", "SpeedFractionTrajectory"),
+                *("TriSsmState", "TriSsmDecision", "SpeedFractionTrajectory"),
                 *("SelfHitWatch", "SelfHitStop"),
             },
         )

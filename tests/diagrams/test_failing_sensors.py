@@ -36,7 +36,7 @@ def position():
 def monitor(request):
     return make_monitor(
         load_scenario(
-            text=f"{{ssm: {{configuration: {request.param}}}, {NO_WATCH}}}"
+            text=f"{{law: {{configuration: {request.param}}}, {NO_WATCH}}}"
         )
     )
 
@@ -134,16 +134,16 @@ def test_each_status_for_two_seconds(monitor, position, status):
         assert states[0] == STOP
         assert states[-1] == NORMAL
     else:
-        assert set(states) == {STOP}, watch.eval("reason")
+        assert set(states) == {STOP}, watch.decision.reason
 
 
 def test_a_hang_is_reported(monitor, position):
     watch = make_watch(monitor, position)
     watch.tell(254, 0.4)
     watch.run(0.25)
-    assert "tool at" in watch.eval("reason")
+    assert "tool at" in watch.decision.reason
     watch.run(0.2)
-    assert watch.eval("reason") == "stop: tool is faulted, sensor 0: late"
+    assert watch.decision.reason == "stop: tool is faulted, sensor 0: late"
 
 
 @pytest.mark.parametrize(
@@ -171,7 +171,7 @@ def test_a_sensor_that_saw_nothing_stops_the_robot_after_0_3_s(
     # A target that cannot be measured counts from its second sample on.
     assert elapsed <= (2 * PERIOD if cause == "sigma" else 0.3 + PERIOD)
     assert (rows[stopped[0] :, 1] == STOP).all()
-    assert watch.eval("reason") == f"stop: tool is faulted, sensor 0: {cause}"
+    assert watch.decision.reason == f"stop: tool is faulted, sensor 0: {cause}"
 
 
 def test_one_lost_sample_now_and_then_is_tolerated(monitor, position):
@@ -194,7 +194,7 @@ def test_half_of_a_ring_at_once(monitor, position):
     watch.readings["base"] = status, np.full(8, 0.4)
     assert watch.run(PERIOD)[-1, 1] == STOP
     assert (
-        watch.eval("reason")
+        watch.decision.reason
         == "stop: base is faulted, sensors 0, 1, 2, 3, 4: bus"
     )
 
@@ -211,7 +211,7 @@ def test_a_sensor_declared_dead_slows_the_robot(position):
     assert rows[-1, 1] == REDUCED
     assert rows[-1, 2] == 0.5
     assert (
-        watch.eval("reason")
+        watch.decision.reason
         == "reduced: tool is degraded, sensor 0: declared dead"
     )
     # Its neighbour still stops the robot.
@@ -254,7 +254,7 @@ def test_failures_mixed_with_good_samples_release_nothing(
     watch = make_watch(monitor, position)
     for i in range(round(3.0 / PERIOD)):
         watch.tell(*pattern[i % len(pattern)])
-        assert watch.run_scan() == STOP, (i, watch.eval("reason"))
+        assert watch.run_scan() == STOP, (i, watch.decision.reason)
 
 
 @pytest.mark.parametrize(
@@ -277,8 +277,8 @@ def test_a_sensor_that_fails_again_and_again_stops_the_robot(
         watch.tell(*pattern[i % len(pattern)])
         states.append(watch.run_scan())
     late = states[round(1.5 / PERIOD) :]
-    assert set(late) == {STOP}, watch.eval("reason")
-    assert "sensor 0: " in watch.eval("reason")
+    assert set(late) == {STOP}, watch.decision.reason
+    assert "sensor 0: " in watch.decision.reason
 
 
 @pytest.mark.parametrize("later", [0, 2, 5])
@@ -296,7 +296,7 @@ def test_a_frozen_value_releases_nothing(monitor, position, later):
         watch.tell(VALID, distance)
         watch.run(PERIOD)
     for _ in range(25):
-        assert watch.run_scan() == STOP, watch.eval("reason")
+        assert watch.run_scan() == STOP, watch.decision.reason
     watch.tell(240, distance)
     for _ in range(50):
         assert watch.run_scan() == STOP

@@ -34,7 +34,7 @@ def test_stopped_until_every_ring_has_delivered(rig):
     rows = rig.run(0.5)
     assert set(rows[:, 1]) == {RobotState.STOP}
     assert set(rows[:, 2]) == {0.0}
-    assert rig.eval("reason") == "stop: tool has no sample yet"
+    assert rig.decision.reason == "stop: tool has no sample yet"
     rig.silent = set()
     rows = rig.run(0.6)
     assert rows[-1, 1] == RobotState.NORMAL
@@ -51,8 +51,8 @@ def test_a_ring_that_falls_silent_stops_the_robot(rig, ring):
     assert stopped[0] - start <= 0.1 + TICK
     assert (rows[rows[:, 0] >= stopped[0], 1] == RobotState.STOP).all()
     assert rig.rho == 0.0
-    assert rig.eval("reason").startswith(f"stop: {ring} sample is")
-    assert rig.eval("ring_states").tolist() == [
+    assert rig.decision.reason.startswith(f"stop: {ring} sample is")
+    assert rig.decision.state.tolist() == [
         RobotState.STOP if name == ring else RobotState.NORMAL for name in RINGS
     ]
     # It comes back as soon as the ring does.
@@ -66,7 +66,7 @@ def test_a_broken_ring_stops_the_robot(rig, ring):
     rig.readings[ring] = (HARDWARE_FAIL, 0.0)
     rig.run(0.6)
     assert rig.rho == 0.0
-    assert rig.eval("reason").startswith(f"stop: {ring} ")
+    assert rig.decision.reason.startswith(f"stop: {ring} ")
 
 
 def test_rings_that_see_nothing_at_all_stop_the_robot(start_position):
@@ -75,7 +75,7 @@ def test_rings_that_see_nothing_at_all_stop_the_robot(start_position):
     # The robot stands still here, so it is looked at a fifth as often.
     assert rows[-1, 1] == RobotState.STOP
     assert rig.rho == 0.0
-    assert rig.eval("reason").startswith("stop: ")
+    assert rig.decision.reason.startswith("stop: ")
     for ring, line in zip(
         RINGS, rig.eval("self_hit_health").problem, strict=True
     ):
@@ -91,7 +91,7 @@ def test_a_frozen_ring_stops_the_robot(rig):
             rig.deliver(ring, age=LATENCY + i * TICK if ring == "tool" else 0)
         rig.run(TICK)
     assert rig.rho == 0.0
-    assert rig.eval("reason").startswith("stop: tool ")
+    assert rig.decision.reason.startswith("stop: tool ")
 
 
 def test_scans_that_come_too_late_stop_the_robot(rig):
@@ -102,7 +102,7 @@ def test_scans_that_come_too_late_stop_the_robot(rig):
         rig.run(TICK)
         assert rig.state == RobotState.STOP
         assert rig.rho == 0.0
-    assert rig.eval("reason").startswith("stop: base")
+    assert rig.decision.reason.startswith("stop: base")
 
 
 def test_something_near_stops_and_its_leaving_releases(rig):
@@ -115,7 +115,7 @@ def test_something_near_stops_and_its_leaving_releases(rig):
     assert rows[0, 1] == RobotState.STOP
     assert rows[0, 0] == pytest.approx(start + TICK)
     assert rig.rho == 0.0
-    assert rig.eval("reason").startswith("stop: elbow at 0.3")
+    assert rig.decision.reason.startswith("stop: elbow at 0.3")
     rig.readings["elbow"] = (SIGNAL_FAIL, 0.0)
     assert rig.run(0.8)[-1, 2] == 1.0
 

@@ -26,7 +26,7 @@ Cell:
     visitor: !GeneratedWalk
       <<: *slow
       stature: 1.6
-  ssm:
+  law:
     configuration: vr
     C_dC: 0.4
 Empty: {}
@@ -68,19 +68,19 @@ class TestLoad(unittest.TestCase):
         self.assertEqual(
             scenario.people["visitor"], GeneratedWalk(speed=0.9, stature=1.6)
         )
-        self.assertEqual(scenario.ssm.configuration, "vr")
-        self.assertEqual(scenario.ssm.C_dC, 0.4)
-        self.assertEqual(scenario.ssm.T_stop, mut.Scenario().ssm.T_stop)
+        self.assertEqual(scenario.law.configuration, "vr")
+        self.assertEqual(scenario.law.C_dC, 0.4)
+        self.assertEqual(scenario.law.T_stop, mut.Scenario().law.T_stop)
         self.assertEqual(scenario.program, mut.Scenario().program)
 
     def test_text_overrides_file_and_keeps_the_rest(self):
         scenario = self.load(
-            text="{random_seed: 5, ssm: {C_dC: 0.5}, "
+            text="{random_seed: 5, law: {C_dC: 0.5}, "
             "people: {visitor: {speed: 1.5}}}"
         )
         self.assertEqual(scenario.random_seed, 5)
-        self.assertEqual(scenario.ssm.C_dC, 0.5)
-        self.assertEqual(scenario.ssm.configuration, "vr")
+        self.assertEqual(scenario.law.C_dC, 0.5)
+        self.assertEqual(scenario.law.configuration, "vr")
         self.assertEqual(
             scenario.people["visitor"], GeneratedWalk(speed=1.5, stature=1.6)
         )
@@ -146,7 +146,7 @@ class TestLoad(unittest.TestCase):
 
     def test_options_override_text(self):
         scenario = self.load(
-            text="{random_seed: 5, ssm: {configuration: sm, C_dC: 0.5}, "
+            text="{random_seed: 5, law: {configuration: sm, C_dC: 0.5}, "
             "simulation_duration: 7}"
         )
         override(scenario)
@@ -160,8 +160,8 @@ class TestLoad(unittest.TestCase):
             duration=3.0,
         )
         self.assertEqual(scenario.random_seed, 0)
-        self.assertEqual(scenario.ssm.configuration, "vo")
-        self.assertEqual(scenario.ssm.C_dC, 0.5)
+        self.assertEqual(scenario.law.configuration, "vo")
+        self.assertEqual(scenario.law.C_dC, 0.5)
         self.assertEqual(scenario.simulation_duration, 3.0)
         self.assertEqual(
             scenario.people["visitor"], BvhRecording(filename="walk.bvh")
@@ -185,9 +185,9 @@ class TestLoad(unittest.TestCase):
     def test_two_loads_share_nothing(self):
         one, other = self.load(), self.load()
         one.sensors["wrist"].dead_sensors[0] = 1
-        one.ssm.C_dC = 9.0
+        one.law.C_dC = 9.0
         self.assertEqual(other.sensors["wrist"].dead_sensors, [3])
-        self.assertEqual(other.ssm.C_dC, 0.4)
+        self.assertEqual(other.law.C_dC, 0.4)
 
 
 class TestDump(unittest.TestCase):
@@ -203,7 +203,7 @@ class TestDump(unittest.TestCase):
                 "Default",
                 "{people: {visitor: {figure_eight: {centre: [1.2, 1e-3]}}}}",
             ),
-            ("Default", "{ssm: {configuration: sm}, random_seed: 4294967295}"),
+            ("Default", "{law: {configuration: sm}, random_seed: 4294967295}"),
             (
                 "Default",
                 "{people: {visitor: !BvhRecording {filename: a, end_time: 3}}}",
@@ -235,7 +235,7 @@ class TestDump(unittest.TestCase):
         values = mut.dump_scenario(mut.load_scenario())
         self.assertEqual(values["people"]["visitor"]["kind"], "GeneratedWalk")
         self.assertEqual(values["sensors"]["tool"]["kind"], "Ring")
-        self.assertEqual(values["ssm"]["C_dC"], 0.3)
+        self.assertEqual(values["law"]["C_dC"], 0.3)
 
 
 class TestCheck(unittest.TestCase):

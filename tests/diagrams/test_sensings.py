@@ -17,8 +17,8 @@ from tofssm_drake.diagrams.scenario import (
     Scenario,
     change_scenario,
     dump_scenario,
+    find_threshold_offsets,
     load_scenario,
-    make_law,
 )
 from tofssm_drake.diagrams.simulation import Run
 from tofssm_drake.diagrams.workcell import make_workcell
@@ -59,8 +59,7 @@ class TestPorts:
         monitor = workcell.diagram.GetSubsystemByName("monitor")
         assert set(get_inputs(monitor)) == {*JOINTS, SEEN[sensing]}
         assert set(get_outputs(monitor)) == {
-            *("speed_fraction", "robot_state", "ring_states", "reason"),
-            *("separation", "dsi"),
+            *("speed_fraction", "decision", "separation"),
         }
         scans = {
             name
@@ -107,24 +106,28 @@ class TestPorts:
 
 class TestLaw:
     def test_lidar_s_distances_grow_by_the_workspace(self):
-        law = make_law(load_scenario(name="PlanarLidar"))
+        scenario = load_scenario(name="PlanarLidar")
+        (offset,) = find_threshold_offsets(scenario)
+        law = scenario.law.grow(offset)
         assert (law.C_dC, law.d_C_sm, law.d_R_sm) == (1.12, 1.32, 1.92)
 
     def test_unless_its_rule_takes_it_off(self):
         for rule in ("subtracted", "literal"):
-            law = make_law(
-                load_scenario(
-                    name="PlanarLidar",
-                    text="{sensors: {lidar: {separation: "
-                    f"{{distance_rule: {rule}}}}}}}}}",
-                )
+            scenario = load_scenario(
+                name="PlanarLidar",
+                text="{sensors: {lidar: {separation: "
+                f"{{distance_rule: {rule}}}}}}}",
             )
+            (offset,) = find_threshold_offsets(scenario)
+            law = scenario.law.grow(offset)
             assert (law.C_dC, law.d_C_sm, law.d_R_sm) == (0.3, 0.5, 1.1)
 
     def test_the_others_have_the_law_as_it_is(self):
         for name in ("Default", "MotionCapture"):
             scenario = load_scenario(name=name)
-            assert make_law(scenario) == scenario.ssm
+            offsets = find_threshold_offsets(scenario)
+            np.testing.assert_array_equal(offsets, np.zeros(len(RINGS)))
+            assert scenario.law.grow(offsets[0]) is scenario.law
 
 
 class TestScenario:

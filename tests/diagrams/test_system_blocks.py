@@ -21,6 +21,7 @@ from tofssm_drake.diagrams.scenario import load_scenario
 from tofssm_drake.diagrams.station import make_station
 from tofssm_drake.diagrams.workcell import make_workcell
 from tofssm_drake.laws.sensing_problem import SensingProblem
+from tofssm_drake.laws.tri_ssm_law import TriSsm
 from tofssm_drake.metrics.ground_truth import GroundTruth, TruthModel
 from tofssm_drake.perception.ideal_separation import (
     IdealSeparation,
@@ -183,6 +184,12 @@ class TestSystemBlocks(unittest.TestCase):
                 make_hardware_station(self.scenario, robot=HeldRobot()).diagram,
             ),
             (make_monitor, make_monitor(self.scenario)),
+            (
+                TriSsm.make,
+                TriSsm().make(
+                    links=("tool",), offset=np.zeros(1), period=0.008
+                ),
+            ),
             (make_ring_world, make_ring_world(self.scenario)),
             (sim_ur10.make_sim_ur10, robot),
             (sim_ur10.make_inverse_dynamics_controller, controller),

@@ -11,7 +11,7 @@ import tofssm_drake.laws.config as mut
 class TestSsmConfig(unittest.TestCase):
     def test_defaults_are_the_papers_table(self):
         dut = mut.SsmConfig()
-        dut.check("ssm")
+        dut.check("law")
         self.assertEqual(
             [dut.T_red, dut.T_stop, dut.T_R, dut.V_lmax],
             [0.4, 0.4, 0.1, 1.7],

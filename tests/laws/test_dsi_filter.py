@@ -11,7 +11,7 @@ from pydrake.systems.framework import DiagramBuilder
 
 from tofssm_drake.errors import UserError
 from tofssm_drake.laws.config import SsmConfig
-from tofssm_drake.laws.distances import make_distance_constants
+from tofssm_drake.laws.distances import make_link_constants
 import tofssm_drake.laws.dsi_filter as mut
 from tofssm_drake.laws.tri_ssm import TriSsmState, classify_index
 from tofssm_drake.messages import (
@@ -130,7 +130,7 @@ class TestCalcSafetyIndex(unittest.TestCase):
 
     def calc(self, separation):
         return mut.calc_safety_index(
-            constants=make_distance_constants(self.config),
+            constants=make_link_constants(self.config, RINGS),
             state=self.state,
             separation=separation,
         )
@@ -408,7 +408,7 @@ class TestDsiFilter(unittest.TestCase):
     def check_is_calculated(self, separation):
         """Compares the output with that of a new filter."""
         expected = mut.calc_safety_index(
-            constants=make_distance_constants(SsmConfig()),
+            constants=make_link_constants(SsmConfig(), RINGS),
             state=self.context.get_discrete_state_vector().value(),
             separation=separation,
         )

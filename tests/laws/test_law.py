@@ -11,10 +11,10 @@ from pydrake.common.value import Value
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 
-from tofssm_drake.laws.config import SsmConfig
 from tofssm_drake.laws.dsi_filter import DsiFilter
 from tofssm_drake.laws.speed_fraction import SpeedFractionTrajectory
-from tofssm_drake.laws.tri_ssm import TriSsmState
+from tofssm_drake.laws.tri_ssm import TriSsmDecision, TriSsmState
+from tofssm_drake.laws.tri_ssm_law import TriSsm
 from tofssm_drake.messages import RingHealth, Separation
 
 PERIOD = 0.008
@@ -41,22 +41,18 @@ def make_separation(*, tick, distance, health=RingHealth.HEALTHY, k=0.0):
 @functools.cache
 def make_law(configuration):
     builder = DiagramBuilder()
-    config = SsmConfig(configuration=configuration)
-    dsi_filter = builder.AddSystem(DsiFilter(name=RINGS, config=config))
-    tri_ssm = builder.AddSystem(TriSsmState(name=RINGS, config=config))
-    trajectory = builder.AddSystem(SpeedFractionTrajectory(config=config))
-    builder.Connect(
-        dsi_filter.GetOutputPort("dsi"), tri_ssm.GetInputPort("dsi")
+    choice = TriSsm(configuration=configuration)
+    law = builder.AddSystem(
+        choice.make(links=RINGS, offset=np.zeros(3), period=PERIOD)
     )
-    for system in (dsi_filter, trajectory):
-        builder.Connect(
-            tri_ssm.GetOutputPort("robot_state"),
-            system.GetInputPort("robot_state"),
-        )
-    builder.ExportInput(dsi_filter.GetInputPort("separation"), "in")
-    builder.ExportOutput(dsi_filter.GetOutputPort("dsi"), "dsi")
-    for name in ("robot_state", "reason"):
-        builder.ExportOutput(tri_ssm.GetOutputPort(name), name)
+    trajectory = builder.AddSystem(
+        SpeedFractionTrajectory(name=RINGS, ramp=choice.traits.ramp)
+    )
+    builder.Connect(
+        law.GetOutputPort("decision"), trajectory.GetInputPort("decision")
+    )
+    builder.ExportInput(law.GetInputPort("separation"), "in")
+    builder.ExportOutput(law.GetOutputPort("decision"), "decision")
     builder.ExportOutput(trajectory.GetOutputPort("speed_fraction"), "rho")
     return builder.Build()
 
@@ -74,6 +70,18 @@ class Law:
     def eval(self, name):
         return self.diagram.GetOutputPort(name).Eval(self.context)
 
+    @property
+    def decision(self):
+        return self.eval("decision")
+
+    @property
+    def index(self):
+        law = self.diagram.GetSubsystemByName("tri_ssm_law")
+        dsi_filter = law.GetSubsystemByName("dsi_filter")
+        return dsi_filter.GetOutputPort("dsi").Eval(
+            dsi_filter.GetMyContextFromRoot(self.context)
+        )
+
     def is_sampled(self):
         """Returns whether the elbow ring has a new sample at this tick."""
         return (self.tick - 1) % 3 == 0
@@ -89,7 +97,7 @@ class Law:
         )
         self.simulator.AdvanceTo(PERIOD * self.tick + 0.004)
         self.tick += 1
-        return self.eval("robot_state")[0], self.eval("rho")[0]
+        return float(self.decision.robot_state), self.eval("rho")[0]
 
     def run(self, ticks, **kwargs):
         return np.array([self.step(**kwargs) for _ in range(ticks)])
@@ -103,7 +111,7 @@ class TestLaw(unittest.TestCase):
         self.assertEqual(self.dut.eval("rho")[0], 0.0)
         values = self.dut.run(60, distance=FAR)
         self.assertEqual(values[-1].tolist(), [2.0, 1.0])
-        self.assertEqual(self.dut.eval("reason"), "normal")
+        self.assertEqual(self.dut.decision.reason, "normal")
 
     def test_stops_in_time(self):
         self.dut.run(60, distance=FAR)
@@ -114,7 +122,7 @@ class TestLaw(unittest.TestCase):
         self.assertGreater(values[-2, 1], 0.0)
         self.assertEqual(values[-1, 1], 0.0)
         self.assertRegex(
-            self.dut.eval("reason"), "^stop: elbow at 0.500 m <= d_C 0.665 m$"
+            self.dut.decision.reason, "^stop: elbow at 0.500 m <= d_C 0.665 m$"
         )
 
     def test_reduces(self):
@@ -138,7 +146,7 @@ class TestLaw(unittest.TestCase):
         self.assertEqual(values[12, 0], 0.0)
         values = self.dut.run(60, separation=frozen)
         self.assertEqual(values[-1].tolist(), [0.0, 0.0])
-        self.assertIn("sample is", self.dut.eval("reason"))
+        self.assertIn("sample is", self.dut.decision.reason)
 
     def test_blind_reduces_and_faulted_stops(self):
         self.dut.run(60, distance=FAR)
@@ -179,13 +187,16 @@ class TestLaw(unittest.TestCase):
         for distance, k, health, ticks in schedule:
             for _ in range(ticks):
                 psi, rho = dut.step(distance=distance, k=k, health=health)
-                index = dut.eval("dsi")
+                index = dut.index
                 if (index.dsi_raw >= index.dsi_C).any():
                     self.assertEqual(psi, 0)
                 if (index.health == RingHealth.FAULTED).any():
                     self.assertEqual(psi, 0)
                 if (index.health == RingHealth.BLIND).any():
                     self.assertLessEqual(psi, 1)
+                self.assertEqual(psi, dut.decision.state.min())
+                for name, values in dut.decision.signal.items():
+                    self.assertIs(values, getattr(index, name))
                 if psi == 0:
                     self.assertLessEqual(rho, previous_rho)
                 if psi == 1:
@@ -203,7 +214,21 @@ class TestPorts(unittest.TestCase):
                 ["dsi"],
                 ["robot_state", "ring_states", "reason"],
             ),
-            (SpeedFractionTrajectory(), ["robot_state"], ["speed_fraction"]),
+            (
+                TriSsmDecision(name=RINGS),
+                ["dsi", "ring_states"],
+                ["decision"],
+            ),
+            (
+                TriSsm().make(links=RINGS, offset=np.zeros(3), period=PERIOD),
+                ["separation"],
+                ["decision"],
+            ),
+            (
+                SpeedFractionTrajectory(name=RINGS),
+                ["decision"],
+                ["speed_fraction"],
+            ),
         ):
             self.assertEqual(
                 [

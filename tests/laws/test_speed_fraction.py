@@ -4,12 +4,14 @@ from unittest import mock
 from hypothesis import given, settings
 from hypothesis import strategies as st
 import numpy as np
+from paper_cell import RINGS
+from pydrake.common.value import Value
 from pydrake.systems.analysis import Simulator
 from ruckig import Result
 
 from tofssm_drake.errors import UserError
-from tofssm_drake.laws.config import SsmConfig
 import tofssm_drake.laws.speed_fraction as mut
+from tofssm_drake.messages import SpeedDecision
 
 TARGETS = (0.0, 0.5, 1.0)
 MAX_RATE = 10.0 / 3.0
@@ -24,11 +26,11 @@ schedules = st.lists(
 
 def run(states, *, rho=0.0, rate=0.0, literal=False, period=PERIOD):
     """Returns rho and its rate after each tick, the start included."""
-    config = SsmConfig(literal=literal)
+    ramp = mut.SpeedRamp(literal=literal)
     values = [(rho, rate)]
     for psi in states:
         rho, rate = mut.calc_next_speed_fraction(
-            config=config,
+            ramp=ramp,
             period=period,
             rho=rho,
             rate=rate,
@@ -185,7 +187,7 @@ class TestCalcNextSpeedFraction(unittest.TestCase):
         ):
             self.assertEqual(
                 mut.calc_next_speed_fraction(
-                    config=SsmConfig(),
+                    ramp=mut.SpeedRamp(),
                     period=PERIOD,
                     rho=rho,
                     rate=rate,
@@ -202,7 +204,7 @@ class TestCalcNextSpeedFraction(unittest.TestCase):
                 make_planner.return_value = otg, mock.Mock(), mock.Mock()
                 self.assertEqual(
                     mut.calc_next_speed_fraction(
-                        config=SsmConfig(),
+                        ramp=mut.SpeedRamp(),
                         period=PERIOD,
                         rho=0.5,
                         rate=0.0,
@@ -214,7 +216,7 @@ class TestCalcNextSpeedFraction(unittest.TestCase):
 
 class TestSpeedFractionTrajectory(unittest.TestCase):
     def setUp(self):
-        self.dut = mut.SpeedFractionTrajectory()
+        self.dut = mut.SpeedFractionTrajectory(name=RINGS)
         self.simulator = Simulator(self.dut)
         self.context = self.simulator.get_mutable_context()
         self.tick = 0
@@ -222,7 +224,12 @@ class TestSpeedFractionTrajectory(unittest.TestCase):
 
     def advance(self, psi, ticks):
         """Returns the output after each tick."""
-        self.dut.GetInputPort("robot_state").FixValue(self.context, [psi])
+        return self.advance_to(TARGETS[psi], ticks)
+
+    def advance_to(self, target, ticks):
+        self.dut.GetInputPort("decision").FixValue(
+            self.context, Value(SpeedDecision(name=RINGS, target=target))
+        )
         result = []
         for _ in range(ticks):
             self.simulator.AdvanceTo(self.period * (self.tick + 0.5))
@@ -248,7 +255,9 @@ class TestSpeedFractionTrajectory(unittest.TestCase):
 
     def test_other_control_ticks(self):
         for self.period, ticks in ((0.002, 200), (0.016, 25)):
-            self.dut = mut.SpeedFractionTrajectory(period=self.period)
+            self.dut = mut.SpeedFractionTrajectory(
+                name=RINGS, period=self.period
+            )
             self.simulator = Simulator(self.dut)
             self.context = self.simulator.get_mutable_context()
             self.tick = 0
@@ -263,26 +272,38 @@ class TestSpeedFractionTrajectory(unittest.TestCase):
                 np.diff(rho).max() / self.period, MAX_RATE, delta=0.1
             )
 
-    def test_unknown_state_stops(self):
-        for psi in (np.nan, np.inf, -1.0, 0.5, 3.0):
+    def test_unknown_target_stops(self):
+        for target in (np.nan, np.inf, -np.inf, -1.0, -0.1, 1.001, 3.0):
             self.advance(2, 60)
-            rho = self.advance(psi, 50)
+            rho = self.advance_to(target, 50)
             self.assertTrue((np.diff(rho) <= 0.0).all())
             self.assertEqual(rho[-1], 0.0)
 
-    def test_reduced_fraction_is_a_setting(self):
-        self.dut = mut.SpeedFractionTrajectory(
-            config=SsmConfig(rho_reduced=0.25)
-        )
-        self.simulator = Simulator(self.dut)
-        self.context = self.simulator.get_mutable_context()
-        self.assertEqual(self.advance(1, 50)[-1], 0.25)
+    def test_any_target_is_reached(self):
+        for target in (0.25, 0.1, 0.85, 0.3):
+            rho = self.advance_to(target, 60)
+            self.assertEqual(rho[-1], target)
 
-    def test_bad_config(self):
-        with self.assertRaises(UserError):
-            mut.SpeedFractionTrajectory(config=SsmConfig(rho_max_rate=-1.0))
+    def test_follows_a_target_that_moves(self):
+        """As of a law that goes by the distance: within the ramp's limits."""
+        t = PERIOD * np.arange(1000)
+        target = np.clip(0.5 + 0.6 * np.sin(2.0 * t), 0.0, 1.0)
+        rho = np.array([self.advance_to(x, 1)[0] for x in target.tolist()])
+        rise = np.diff(rho)
+        self.assertTrue((np.abs(rise) <= PERIOD * MAX_RATE + 1e-9).all())
+        # It lags, but it never rises above where it was told to go.
+        self.assertLess(np.abs(rho - target)[100:].max(), 0.12)
+        rising = rise > 0.0
+        self.assertTrue((rho[1:] <= target[1:] + 1e-9)[rising].all())
+
+    def test_bad_settings(self):
+        for name in ("max_rate", "max_acceleration"):
+            with self.assertRaisesRegex(UserError, rf"^ramp\.{name}: "):
+                mut.SpeedFractionTrajectory(
+                    name=RINGS, ramp=mut.SpeedRamp(**{name: -1.0})
+                )
 
     def test_tick_must_last(self):
         for period in (0.0, -0.008, np.nan, np.inf):
             with self.assertRaisesRegex(UserError, "period"):
-                mut.SpeedFractionTrajectory(period=period)
+                mut.SpeedFractionTrajectory(name=RINGS, period=period)

@@ -265,3 +265,69 @@ class TestTriSsmState(unittest.TestCase):
         )
         with self.assertRaises(UserError):
             mut.TriSsmState(name=RINGS, config=SsmConfig(deadline=0.0))
+
+
+class TestTriSsmDecision(unittest.TestCase):
+    def decide(self, index, *, states=None, time=0.0, **options):
+        dut = mut.TriSsmDecision(name=RINGS, **options)
+        context = dut.CreateDefaultContext()
+        context.SetTime(time)
+        if states is None:
+            states = mut.calc_ring_states(
+                index=index, now=time, config=SsmConfig()
+            )
+        dut.GetInputPort("dsi").FixValue(context, Value(index))
+        dut.GetInputPort("ring_states").FixValue(context, states)
+        return dut.GetOutputPort("decision").Eval(context)
+
+    def test_lowest_state_gives_the_target(self):
+        for distance, target, link in (
+            ((2.0, 2.0, 2.0), 1.0, ""),
+            ((2.0, 0.9, 2.0), 0.5, "elbow"),
+            ((0.6, 0.9, 2.0), 0.0, "base"),
+        ):
+            index = make_index(distance=distance)
+            decision = self.decide(index)
+            self.assertEqual((decision.target, decision.link), (target, link))
+            self.assertEqual(decision.robot_state, decision.state.min())
+            self.assertEqual(
+                decision.reason,
+                mut.calc_reason(index=index, now=0.0, config=SsmConfig()),
+            )
+            for name in mut.SIGNALS:
+                np.testing.assert_array_equal(
+                    decision.signal[name], getattr(index, name)
+                )
+
+    def test_reduced_fraction_is_a_setting(self):
+        decision = self.decide(
+            make_index(distance=(0.9, 2.0, 2.0)),
+            config=SsmConfig(rho_reduced=0.25),
+        )
+        self.assertEqual(decision.target, 0.25)
+
+    def test_unknown_state_stops(self):
+        for psi in (np.nan, np.inf, -1.0, 0.5, 3.0):
+            index = make_index(distance=(2.0, 2.0, 2.0))
+            decision = self.decide(index, states=np.array([2.0, psi, 2.0]))
+            self.assertEqual((decision.target, decision.link), (0.0, "elbow"))
+            self.assertEqual(decision.state.tolist(), [2, 0, 2])
+
+    def test_time_alone_stops(self):
+        decision = self.decide(make_index(), time=0.101)
+        self.assertEqual((decision.target, decision.link), (0.0, "base"))
+        self.assertIn("sample is 0.101 s old", decision.reason)
+
+    def test_reason_of_a_link_measured_from_farther_away(self):
+        """The index is that of 1.12 m: the reason gives the distance."""
+        index = dc.replace(
+            make_index(distance=(np.inf, 1.3, np.inf), d_C=1.485, d_R=1.8),
+            dsi=np.array([0.0, (1.12 / 1.3) ** 2, 0.0]),
+            dsi_raw=np.array([0.0, (1.12 / 1.3) ** 2, 0.0]),
+            dsi_C=np.full(3, (1.12 / 1.485) ** 2),
+            dsi_R=np.full(3, (1.12 / 1.8) ** 2),
+        )
+        decision = self.decide(index, offset=np.array([0.0, 0.82, 0.0]))
+        self.assertEqual(
+            decision.reason, "stop: elbow at 1.300 m <= d_C 1.485 m"
+        )

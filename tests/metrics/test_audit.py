@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from synthetic_run import RINGS, make_run, make_steps
 
-from tofssm_drake.laws.config import SsmConfig
+from tofssm_drake.laws.tri_ssm_law import TriSsm
 import tofssm_drake.metrics.audit as mut
 from tofssm_drake.metrics.standards import AuditConfig, make_latency_budget
 from tofssm_drake.reports.report import make_audit_section
@@ -13,7 +13,8 @@ from tofssm_drake.reports.report import make_audit_section
 def add_metadata(run, **settings):
     run.metadata["audit"] = mut.make_audit_metadata(
         config=AuditConfig(),
-        ssm=SsmConfig(**settings),
+        law=TriSsm(**settings).traits,
+        offset=dict.fromkeys(RINGS, 0.0),
         latency=make_latency_budget(
             config=AuditConfig(),
             integration=0.033,

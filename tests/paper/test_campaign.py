@@ -22,7 +22,7 @@ def make_plan(**changes):
         "sensings": ["tof", "lidar"],
         "configurations": ["vo", "sm"],
         "variants": [],
-        "scenario": {"ssm": {"C_dC": 0.3}},
+        "scenario": {"law": {"C_dC": 0.3}},
         "motions": {},
         "versions": {"drake": "1.51.1"},
     }
@@ -143,8 +143,8 @@ class TestFolder(unittest.TestCase):
     def test_another_plan_is_refused(self):
         mut.open_folder(self.folder, make_plan())
         for changes, message in (
-            ({"scenario": {"ssm": {"C_dC": 0.4}}}, "scenario.ssm.C_dC: 0.3 th"),
-            ({"scenario": {"ssm": {}}}, "scenario.ssm.C_dC is no longer"),
+            ({"scenario": {"law": {"C_dC": 0.4}}}, "scenario.law.C_dC: 0.3 th"),
+            ({"scenario": {"law": {}}}, "scenario.law.C_dC is no longer"),
             ({"scenario": {"ssm": {"C_dC": 0.3}, "x": 1}}, "scenario.x is new"),
             ({"versions": {"drake": "2.0"}}, "versions.drake: '1.51.1' then"),
             ({"motions": {"a.bvh": "0"}}, "motions.a.bvh is new"),

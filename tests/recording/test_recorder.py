@@ -10,26 +10,24 @@ from tofssm_drake.messages import (
     MaskedScan,
     Reading,
     RingScan,
-    SafetyIndex,
     Separation,
-    make_empty_safety_index,
+    SpeedDecision,
+    make_empty_decision,
     make_empty_separation,
 )
 from tofssm_drake.metrics.truth import TruthLayout
 from tofssm_drake.people.motion import capsule_ends
 from tofssm_drake.people.walk import GeneratedWalk, make_walk
 import tofssm_drake.recording.recorder as mut
-from tofssm_drake.recording.samples import RING_COLUMNS
+from tofssm_drake.recording.samples import get_link_columns
 
 _PORTS = [
     "position",
     "velocity",
     "speed_fraction",
     "products_placed",
-    "ring_states",
-    "reason",
+    "decision",
     "separation",
-    "dsi",
     "masked_scan_base",
     "masked_scan_elbow",
     "masked_scan_tool",
@@ -52,18 +50,25 @@ def _make_separation(sequence=(4, 5, -1)):
     )
 
 
-def _make_dsi():
-    return SafetyIndex(
+_SIGNAL = {
+    "d_C": [0.5, 0.6, 0.7],
+    "d_R": [1.1, 1.2, 1.3],
+    "dsi_raw": [0.11, 0.12, 0.13],
+    "dsi": [0.21, 0.22, 0.23],
+    "dsi_C": [0.31, 0.32, 0.33],
+    "dsi_R": [0.41, 0.42, 0.43],
+}
+
+
+def _make_decision(states=(2, 1, 0), reason="base: near", **signal):
+    signal = _SIGNAL | signal
+    return SpeedDecision(
         name=RINGS,
-        sequence=np.array([4, 5, -1]),
-        time=np.zeros(3),
-        d_C=np.array([0.5, 0.6, 0.7]),
-        d_R=np.array([1.1, 1.2, 1.3]),
-        dsi_raw=np.array([0.11, 0.12, 0.13]),
-        dsi=np.array([0.21, 0.22, 0.23]),
-        dsi_C=np.array([0.31, 0.32, 0.33]),
-        dsi_R=np.array([0.41, 0.42, 0.43]),
-        health=np.array([0, 1, 2]),
+        target=(0.0, 0.5, 1.0)[min(states)],
+        link=RINGS[int(np.argmin(states))],
+        reason=reason,
+        state=np.array(states),
+        signal={name: np.array(values) for name, values in signal.items()},
     )
 
 
@@ -100,8 +105,9 @@ class _CountingTruth:
 class TestSampleRecorder(unittest.TestCase):
     def setUp(self):
         self.dut = mut.SampleRecorder(
-            rings=RINGS,
             truth=_CountingTruth(),
+            rings=RINGS,
+            signals=tuple(_SIGNAL),
             num_sensors=dict.fromkeys(RINGS, 4),
             metadata={"seed": 3, "products": 10},
         )
@@ -112,10 +118,8 @@ class TestSampleRecorder(unittest.TestCase):
             "velocity": np.arange(6.0) / 10,
             "speed_fraction": [0.5],
             "products_placed": [7],
-            "ring_states": [2, 1, 0],
-            "reason": Value("base: near"),
+            "decision": Value(_make_decision()),
             "separation": Value(_make_separation()),
-            "dsi": Value(_make_dsi()),
             **{
                 f"masked_scan_{ring}": Value(MaskedScan())
                 for ring in ("base", "elbow", "tool")
@@ -179,9 +183,9 @@ class TestSampleRecorder(unittest.TestCase):
             for j, name in enumerate(("clear", "valid", "masked", "faulted")):
                 self.assertEqual(row[f"{ring}_{name}"], 4 * i + j)
             for name in ("d_C", "d_R", "dsi_raw", "dsi", "dsi_C", "dsi_R"):
-                self.assertEqual(
-                    row[f"{ring}_{name}"], getattr(_make_dsi(), name)[i]
-                )
+                self.assertEqual(row[f"{ring}_{name}"], _SIGNAL[name][i])
+        self.assertEqual(row["target_fraction"], 0.0)
+        self.assertEqual(row["deciding_link"], 2)
         self.assertEqual(row["base_sensor"], 3)
         self.assertEqual(row["tool_health"], 2)
         self.assertEqual(row["elbow_sequence"], 5)
@@ -201,7 +205,7 @@ class TestSampleRecorder(unittest.TestCase):
             *(
                 f"{ring}_{name}"
                 for ring in ("base", "elbow", "tool")
-                for name in RING_COLUMNS
+                for name in get_link_columns(tuple(_SIGNAL))
             ),
         ]
         self.assertEqual(names[: len(expected)], expected)
@@ -231,12 +235,10 @@ class TestSampleRecorder(unittest.TestCase):
     def test_row_is_before_the_update(self):
         """A message of a tick is in force in the next row, not in its own."""
         self._advance(2)
-        dsi = dc.replace(_make_dsi(), d_C=np.array([9.0, 9.1, 9.2]))
-        self._fix("dsi", Value(dsi))
+        decision = _make_decision([2, 2, 1], "tool: far", d_C=[9.0, 9.1, 9.2])
+        self._fix("decision", Value(decision))
         self._fix("separation", Value(_make_separation()))
         self._fix("speed_fraction", [0.75])
-        self._fix("ring_states", [2, 2, 1])
-        self._fix("reason", Value("tool: far"))
         self._advance(4)
         samples = self._make_samples()
         np.testing.assert_array_equal(
@@ -252,15 +254,64 @@ class TestSampleRecorder(unittest.TestCase):
             samples["speed_fraction"], [0.5, 0.5, 0.75, 0.75]
         )
 
-    def test_reason_belongs_to_the_robot_state(self):
-        """It is asked for when the robot's state changes, not a link's."""
+    def test_reason_belongs_to_the_target(self):
+        """It is kept when the target changes, not a link's state."""
         self._advance(1)
-        self._fix("ring_states", [1, 1, 0])
-        self._fix("reason", Value("tool: nearer"))
+        self._fix("decision", Value(_make_decision([1, 1, 0], "tool: nearer")))
         self._advance(3)
         samples = self._make_samples()
         self.assertEqual(samples["base_state"][-1], 1)
         self.assertEqual(samples["reason"][-1], "base: near")
+
+    def test_law_without_states(self):
+        """The link that decides has the robot's state, others have none."""
+        self._fix(
+            "decision",
+            Value(
+                dc.replace(
+                    _make_decision(),
+                    target=0.3,
+                    link="elbow",
+                    state=np.empty(0),
+                )
+            ),
+        )
+        self._advance(1)
+        free = dc.replace(
+            _make_decision(), target=1.0, link="", state=np.empty(0)
+        )
+        self._fix("decision", Value(free))
+        self._advance(3)
+        samples = self._make_samples()
+        np.testing.assert_array_equal(
+            samples.ring("state"), [[-1, 1, -1], [-1, 1, -1], [2, 2, 2]]
+        )
+        np.testing.assert_array_equal(samples["robot_state"], [1, 1, 2])
+        np.testing.assert_array_equal(samples["deciding_link"], [1, 1, -1])
+        np.testing.assert_array_equal(
+            samples["target_fraction"], [0.3, 0.3, 1.0]
+        )
+
+    def test_signals_change_without_a_new_separation(self):
+        """As of a law with a memory of its own."""
+        for tick in range(4):
+            decision = _make_decision(d_C=[tick, 0.0, 0.0])
+            self._fix("decision", Value(decision))
+            self._advance(tick + 1)
+        np.testing.assert_array_equal(
+            self._make_samples()["base_d_C"], [0, 0, 1, 2]
+        )
+
+    def test_signals_of_any_name(self):
+        self.dut = mut.SampleRecorder(
+            truth=_CountingTruth(), rings=RINGS, signals=("margin",)
+        )
+        empty = make_empty_decision(RINGS, ("margin",))
+        self.assertEqual(list(empty.signal), ["margin"])
+        samples = self.dut.make_samples(self.dut.CreateDefaultContext())
+        for ring in RINGS:
+            self.assertIn(f"{ring}_margin", samples)
+            self.assertNotIn(f"{ring}_dsi", samples)
 
     def test_period(self):
         self.simulator.AdvanceTo(0.08)
@@ -312,9 +363,12 @@ class TestSampleRecorder(unittest.TestCase):
     def test_one_link_without_rings(self):
         """The lidar has one watched link and no ring scans."""
         dut = mut.SampleRecorder(
-            truth=_CountingTruth(1), rings=("lidar",), num_sensors={}
+            truth=_CountingTruth(1),
+            rings=("lidar",),
+            signals=("d_C",),
+            num_sensors={},
         )
-        self.assertEqual(dut.num_input_ports(), 8)
+        self.assertEqual(dut.num_input_ports(), 6)
         simulator = Simulator(dut)
         context = simulator.get_mutable_context()
         for port, size in (
@@ -322,19 +376,20 @@ class TestSampleRecorder(unittest.TestCase):
             ("velocity", 6),
             ("speed_fraction", 1),
             ("products_placed", 1),
-            ("ring_states", 1),
         ):
             dut.GetInputPort(port).FixValue(context, np.zeros(size))
-        dut.GetInputPort("reason").FixValue(context, Value(""))
-        for port, make in (
-            ("separation", make_empty_separation),
-            ("dsi", make_empty_safety_index),
+        for port, value in (
+            ("separation", make_empty_separation(("lidar",))),
+            (
+                "decision",
+                SpeedDecision(name=("lidar",), signal={"d_C": np.array([9.0])}),
+            ),
         ):
-            dut.GetInputPort(port).FixValue(context, Value(make(("lidar",))))
+            dut.GetInputPort(port).FixValue(context, Value(value))
         simulator.Initialize()
         samples = dut.make_samples(context)
         self.assertTrue(np.isnan(samples["lidar_measured_distance"][0]))
-        self.assertEqual(samples["lidar_d_C"][0], np.inf)
+        self.assertEqual(samples["lidar_d_C"][0], 9.0)
         self.assertEqual(samples.scan, {})
 
     def test_person_follows_from_time(self):
@@ -348,8 +403,8 @@ class TestSampleRecorder(unittest.TestCase):
 
         motion = make_walk(GeneratedWalk(), 0.008)
         self.dut = mut.SampleRecorder(
-            rings=RINGS,
             truth=Truth(),
+            rings=RINGS,
             motions=[motion],
             num_sensors=dict.fromkeys(RINGS, 4),
         )
@@ -375,9 +430,5 @@ class TestSampleRecorder(unittest.TestCase):
 
 class TestNoState(unittest.TestCase):
     def test_no_state(self):
-        dut = mut.SampleRecorder(
-            rings=RINGS,
-            num_sensors=dict.fromkeys(RINGS, 8),
-            truth=_CountingTruth(),
-        )
+        dut = mut.SampleRecorder(truth=_CountingTruth(), rings=RINGS)
         self.assertTrue(dut.CreateDefaultContext().is_stateless())

@@ -10,12 +10,19 @@ from unittest import mock
 import jsonschema
 from mcap.reader import make_reader
 import numpy as np
-from paper_cell import RINGS
 
 from tofssm_drake.errors import UserError
 from tofssm_drake.messages import RingScan, RobotReport, SliderCommand
 import tofssm_drake.recording.run_record as mut
 from tofssm_drake.rtde.arm_obedience import ArmConfig
+
+RUN = {
+    "links": ["base", "elbow", "tool"],
+    "law": {
+        "states": ["stop", "reduced", "normal"],
+        "signals": {"margin": {"unit": "m"}},
+    },
+}
 
 
 def make_tick(k, scans):
@@ -29,9 +36,11 @@ def make_tick(k, scans):
         command=SliderCommand(sequence=k, speed_fraction=1 / 3, heartbeat=k),
         state={
             "robot_state": 1,
-            "links": list(RINGS),
             "ring_states": [1, 2, 1],
             "reason": 'a "NaN" is not a number',
+            "target": 1 / 3,
+            "deciding_link": "base",
+            "signals": {"margin": [1 / 3, np.inf, 2.0]},
             "speed_fraction": 1 / 3,
             "slider_phase": 1,
             "slider_reason": "",
@@ -63,9 +72,7 @@ class TestRunRecord(unittest.TestCase):
 
     def write(self, count=5):
         ticks = []
-        with mut.RunRecorder(
-            self.path, {"what": "test"}, links=RINGS
-        ) as recorder:
+        with mut.RunRecorder(self.path, RUN | {"what": "test"}) as recorder:
             scan = make_scan(0)
             for k in range(count):
                 if k % 2 == 0:
@@ -106,7 +113,7 @@ class TestRunRecord(unittest.TestCase):
         before = {n: v for n, v in vars(scan).items() if n != "problem"}
         with (
             mock.patch.object(mut, "vars", create=True) as plain,
-            mut.RunRecorder(self.path, {}, links=RINGS) as recorder,
+            mut.RunRecorder(self.path, RUN) as recorder,
         ):
             plain.side_effect = lambda value: (
                 before if value is scan else value.__dict__
@@ -134,7 +141,7 @@ class TestRunRecord(unittest.TestCase):
         late = make_tick(1, (a, a))
         with (
             mock.patch.object(mut, "_make_plain", make_plain),
-            mut.RunRecorder(self.path, {}, links=RINGS) as recorder,
+            mut.RunRecorder(self.path, RUN) as recorder,
         ):
             recorder.add_tick(make_tick(0, (a, a)))
             recorder.add_tick(late)
@@ -214,21 +221,21 @@ class TestRunRecord(unittest.TestCase):
         )
 
     def test_a_run_that_never_begins_leaves_what_was_there(self):
-        with mut.RunRecorder(self.path, links=RINGS) as recorder:
+        with mut.RunRecorder(self.path) as recorder:
             recorder.add_robot_bytes(0.0, False, b"too late")
         self.assertFalse(self.path.exists())
         self.path.write_bytes(b"of an earlier run")
-        with mut.RunRecorder(self.path, links=RINGS) as recorder:
+        with mut.RunRecorder(self.path) as recorder:
             recorder.add_robot_bytes(0.0, False, b"too late")
         self.assertEqual(self.path.read_bytes(), b"of an earlier run")
 
     def test_what_came_before_the_run_is_written_with_it(self):
         self.path.write_bytes(b"of an earlier run")
-        with mut.RunRecorder(self.path, links=RINGS) as recorder:
+        with mut.RunRecorder(self.path) as recorder:
             recorder.add_robot_bytes(0.0, False, b"hello")
             time.sleep(0.5)
             self.assertEqual(self.path.read_bytes(), b"of an earlier run")
-            recorder.add_run({})
+            recorder.add_run(RUN)
             recorder.add_robot_bytes(0.0, False, b"once more")
         self.assertEqual(
             [m.data for _, m in self.read_messages("/robot/received")],
@@ -237,11 +244,11 @@ class TestRunRecord(unittest.TestCase):
 
     def test_a_full_disk_is_reported_by_the_next_tick(self):
         with self.assertRaisesRegex(UserError, "--record: /dev/full: cannot"):
-            mut.RunRecorder(Path("/dev/full"), {}, links=RINGS)
+            mut.RunRecorder(Path("/dev/full"), RUN)
         limits = resource.getrlimit(resource.RLIMIT_FSIZE)
         self.addCleanup(resource.setrlimit, resource.RLIMIT_FSIZE, limits)
         scan = make_scan(0)
-        with mut.RunRecorder(self.path, {}, links=RINGS) as recorder:
+        with mut.RunRecorder(self.path, RUN) as recorder:
             recorder.add_tick(make_tick(0, (scan,)))
             resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, limits[1]))
             # Callers that hand in bytes are not disturbed.
@@ -275,7 +282,7 @@ class TestRunRecord(unittest.TestCase):
             distance=np.array([1.0, 2.0]),
             status=np.array([0, 255], dtype=np.uint8),
         )
-        run = {
+        run = RUN | {
             "command": "tofssm hardware",
             "scenario": {"random_seed": 1},
             "virtual_rings": False,
@@ -283,7 +290,7 @@ class TestRunRecord(unittest.TestCase):
             "minimum_fraction": 0.0,
             "arm": vars(ArmConfig()),
         }
-        with mut.RunRecorder(self.path, run, links=RINGS) as recorder:
+        with mut.RunRecorder(self.path, run) as recorder:
             recorder.add_tick(nothing)
             recorder.add_tick(make_tick(1, (scan, scan)))
             recorder.add_tick(make_tick(2, (scan, scan)))
@@ -310,12 +317,41 @@ class TestRunRecord(unittest.TestCase):
         self.assertEqual(
             second["ring_state"], {"base": 1, "elbow": 2, "tool": 1}
         )
+        self.assertEqual(
+            (second["target"], second["deciding_link"]), (1 / 3, "base")
+        )
+        self.assertEqual(
+            second["law"], {"margin": {"base": 1 / 3, "tool": 2.0}}
+        )
         self.assertNotIn("q", second)
+
+    def test_law_without_states_or_signals(self):
+        tick = make_tick(0, ())
+        tick.state.update(ring_states=[], signals={})
+        run = RUN | {"law": {"states": [], "signals": {}}}
+        with mut.RunRecorder(self.path, run) as recorder:
+            recorder.add_tick(tick)
+        ((schema, message),) = self.read_messages("/monitor")
+        self.assertNotIn("ring_state", json.loads(message.data))
+        jsonschema.validate(json.loads(message.data), json.loads(schema.data))
+        (read,) = mut.RunReader(self.path).read_ticks()
+        self.assertEqual(read.state, tick.state)
+
+    def test_other_versions(self):
+        for version, is_good in ((3, False), (4, True), (5, True), (6, False)):
+            with mock.patch.object(mut, "_VERSION", version):
+                self.write(1)
+            with self.subTest(version=version):
+                if is_good:
+                    mut.RunReader(self.path)
+                else:
+                    with self.assertRaisesRegex(UserError, "another version"):
+                        mut.RunReader(self.path)
 
     def test_published_is_when_it_happened(self):
         """On the host's clock, from which `epoch` leads to Unix time."""
         now = time.monotonic()
-        with mut.RunRecorder(self.path, {}, links=RINGS) as recorder:
+        with mut.RunRecorder(self.path, RUN) as recorder:
             recorder.add_ring_bytes(now - 5.0, "udp", b"frame")
         ((_, message),) = self.read_messages("/rings/received")
         epoch = mut.RunReader(self.path).run["epoch"]
@@ -325,7 +361,7 @@ class TestRunRecord(unittest.TestCase):
         self.assertLess(abs(message.log_time * 1e-9 - time.time()), 60.0)
 
     def test_what_was_added_is_in_the_file_soon(self):
-        with mut.RunRecorder(self.path, {}, links=RINGS) as recorder:
+        with mut.RunRecorder(self.path, RUN) as recorder:
             recorder.add_tick(make_tick(0, ()))
             deadline = time.monotonic() + 10.0
             while not list(mut.RunReader(self.path).read_ticks()):
@@ -339,6 +375,4 @@ class TestRunRecord(unittest.TestCase):
         with self.assertRaisesRegex(UserError, "not an MCAP file"):
             mut.RunReader(self.path)
         with self.assertRaisesRegex(UserError, "cannot write"):
-            mut.RunRecorder(
-                self.path.parent / "none" / "x.mcap", {}, links=RINGS
-            )
+            mut.RunRecorder(self.path.parent / "none" / "x.mcap", RUN)

@@ -37,10 +37,26 @@ def find_faults(schema, where):
 
 class TestSchemas(unittest.TestCase):
     def test_foxglove_can_read_them(self):
-        for topic, schema in mut.make_schemas(("a", "b")).items():
-            with self.subTest(topic=topic):
-                self.assertEqual(find_faults(schema, topic), [])
-                jsonschema.Draft202012Validator.check_schema(schema)
+        for states, signals in (
+            (("stop", "reduced", "normal"), ("d_C", "d_R")),
+            ((), ()),
+        ):
+            schemas = mut.make_schemas(
+                links=("base", "tool"), states=states, signals=signals
+            )
+            for topic, schema in schemas.items():
+                with self.subTest(topic=topic, signals=signals):
+                    self.assertEqual(find_faults(schema, topic), [])
+                    jsonschema.Draft202012Validator.check_schema(schema)
+
+    def test_what_can_be_plotted_is_of_the_run(self):
+        monitor = mut.make_schemas(
+            links=("a", "b"), states=("low", "high"), signals=("margin",)
+        )["/monitor"]["properties"]
+        law = monitor["law"]["properties"]
+        self.assertEqual(list(law["margin"]["properties"]), ["a", "b"])
+        names = monitor["ring_state"]["properties"]["b"]["oneOf"]
+        self.assertEqual(names[1], {"title": "high", "const": 1})
 
     def test_what_foxglove_can_not_read_is_found(self):
         number = {"type": "number"}

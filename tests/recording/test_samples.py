@@ -126,3 +126,17 @@ class TestSamples(unittest.TestCase):
         # A lidar has more rays than eight bits count.
         many = mut.narrow_type("clear", np.array([2.0, 720.0]))
         self.assertEqual(many.tolist(), [2, 720])
+
+
+class TestSignals(unittest.TestCase):
+    def test_record_of_before_laws_described_them(self):
+        column = {
+            f"tool_{name}": np.zeros(1)
+            for name in ("measured_distance", "d_C", "d_R", "dsi")
+        }
+        samples = mut.Samples(column=column)
+        self.assertEqual(samples.rings, ("tool",))
+        self.assertEqual(samples.find_bound("stop"), "d_C")
+        self.assertEqual(samples.find_bound("slow"), "d_R")
+        del column["tool_d_R"]
+        self.assertEqual(samples.find_bound("slow"), "")

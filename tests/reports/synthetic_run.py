@@ -2,6 +2,8 @@
 
 import numpy as np
 
+from tofssm_drake.laws.law import describe_law
+from tofssm_drake.laws.tri_ssm_law import TriSsm
 from tofssm_drake.recording.samples import Samples, make_ring_metadata
 
 RINGS = ("base", "elbow", "tool")
@@ -199,9 +201,9 @@ def make_rich_run(duration=62.0, *, sensors=8, seed=1) -> Samples:
     run.metadata |= {
         "scenario_name": "Paper",
         "seed": seed,
-        "ssm": "vo",
+        "law": describe_law(TriSsm()),
         "products": 10,
-        "scenario": "Paper:\n  random_seed: 1\n  ssm: {configuration: vo}\n",
+        "scenario": "Paper:\n  random_seed: 1\n  law: {configuration: vo}\n",
         "versions": {"tofssm-drake": "0.1.0", "drake": "1.51.1"},
         "plan": {
             "robot": [0, 0],

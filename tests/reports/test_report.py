@@ -11,6 +11,7 @@ from synthetic_run import RINGS, make_rich_run, make_run, make_steps
 
 from tofssm_drake.errors import UserError
 from tofssm_drake.metrics.metrics import calc_summary, find_contacts
+import tofssm_drake.reports.figures as figures
 import tofssm_drake.reports.report as mut
 
 
@@ -277,3 +278,57 @@ class TestWords(unittest.TestCase):
         self.assertNotIn("never seen", text)
         self.assertIn("base ring read 0.35 m", text)
         self.assertIn("tool ring read clear", text)
+
+
+class TestLawOfOnesOwn(unittest.TestCase):
+    """No states, no distance at which it stops, one signal."""
+
+    def make_run(self):
+        run = _make_contact_run()
+        for ring in run.rings:
+            for name in ("d_C", "d_R", "dsi_raw", "dsi", "dsi_C", "dsi_R"):
+                del run.column[f"{ring}_{name}"]
+            run.column[f"{ring}_margin"] = (
+                run[f"{ring}_measured_distance"] - 0.6
+            )
+            run.column[f"{ring}_state"] = np.full(len(run), -1, dtype=np.int8)
+        run.metadata["law"] = {
+            "kind": "Custom",
+            "title": "Nearer is slower",
+            "about": "goes by the distance",
+            "guide": [["Margin.", "The room to spare."]],
+            "limits": "It knows no speeds.",
+            "states": [],
+            "signals": {"margin": {"unit": "m", "meaning": "room to spare"}},
+        }
+        return run
+
+    def test_its_words_and_its_signal_are_shown(self):
+        run = self.make_run()
+        page = mut.make_report(run, calc_summary(run))
+        for text in (
+            "Nearer is slower: goes by the distance.",
+            "<strong>Margin.</strong> The room to spare.",
+            "It knows no speeds.",
+            "What the law made of it",
+        ):
+            self.assertIn(text, page)
+        self.assertNotIn("lower threshold", page)
+        self.assertNotIn("critical distance", page)
+        self.assertEqual(figures.find_drawn_signals(run), ["margin"])
+        figure = figures.make_signals(run)
+        (ax,) = figure.axes
+        self.assertEqual(ax.get_title("left"), "margin: room to spare")
+
+    def test_a_contact_is_not_judged(self):
+        run = self.make_run()
+        summary = calc_summary(run)
+        self.assertEqual(summary["late_stops"], 0)
+        self.assertEqual(summary["stop_due_s"], 0.0)
+        for contact in summary["contacts"]:
+            self.assertEqual(contact["cause"], "unjudged")
+        self.assertTrue(summary["contacts"])
+        self.assertIn(
+            "not judged, because this law has no distance",
+            mut.make_report(run, summary),
+        )

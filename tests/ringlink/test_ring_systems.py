@@ -283,13 +283,8 @@ class TestMonitorBehindTheLink(unittest.TestCase):
                         link.put_datagram(data, _HOST + time - 0.001)
             simulator.AdvanceTo(time)
             simulator.AdvancePendingEvents()
-            trace.append(
-                (
-                    time,
-                    self.monitor.GetOutputPort("robot_state").Eval(context)[0],
-                    self.monitor.GetOutputPort("reason").Eval(context),
-                )
-            )
+            decision = self.monitor.GetOutputPort("decision").Eval(context)
+            trace.append((time, decision.robot_state, decision.reason))
         return trace
 
     def check_fault(self, fault, *, within, reason, **changes):

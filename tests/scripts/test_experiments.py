@@ -361,7 +361,7 @@ BAD_INPUT = {
     "seed": (("--seed", "-3"), "--seed: -3 must be from 0"),
     "workers": (("--workers", "0"), "--workers: 0 must be from 1"),
     "duration": (("--duration", "0"), "--duration: 0.0 must"),
-    "text": (("--scenario-text", "{ssm: {C_dc: 1}}"), "did you mean 'C_dC'?"),
+    "text": (("--scenario-text", "{law: {C_dc: 1}}"), "did you mean 'C_dC'?"),
     "fixed": (("--scenario-text", "{random_seed: 5}"), "random_seed: is deci"),
     "nobody": (
         ("--scenario-text", "{people: {visitor: null}}"),

@@ -204,6 +204,26 @@ class TestHardware(unittest.TestCase):
             self.assertEqual(code, 2)
             self.assertIn("must be a multiple of 0.002 s", err)
 
+    def test_record_of_before_a_law_was_a_choice(self):
+        """Version 4: the scenario has `ssm`."""
+        path = self.folder / "run.mcap"
+        with (
+            serve(make_robot(start="heartbeat")) as server,
+            at_ticks({80: interrupt}),
+        ):
+            run_hardware(server, "--record", path)
+        data = path.read_bytes()
+        for now, then in (
+            (b'"version":5', b'"version":4'),
+            # Of the same length.
+            (b'"law":{"kind":"TriSsm",', b'"ssm":{' + 16 * b" "),
+        ):
+            self.assertIn(now, data)
+            data = data.replace(now, then)
+        path.write_bytes(data)
+        _, out = run_replay(path)
+        self.assertIn("all states as recorded", out)
+
     def test_replay_shows_a_difference(self):
         path = self.folder / "run.mcap"
         with (
@@ -514,11 +534,12 @@ class TestHardware(unittest.TestCase):
                 ),
                 (
                     (
-                        *("--scenario-text", "{ssm: {rho_reduced: 0.05}}"),
+                        *("--scenario-text", "{law: {rho_reduced: 0.05}}"),
                         *("--minimum-fraction", 0.1),
                     ),
                     "virtual",
-                    "--minimum-fraction: must be below ssm.rho_reduced, 0.05",
+                    "--minimum-fraction: must be below the law's reduced "
+                    "speed fraction, 0.05",
                 ),
                 ((), "udp://0.0.0.0:5005", "--allow-remote"),
                 *(

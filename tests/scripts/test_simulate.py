@@ -108,7 +108,7 @@ class TestResults:
         summary = read_summary(short_run)
         assert SUMMARY_KEYS <= set(summary)
         assert summary["seed"] == 5
-        assert summary["scenario"]["ssm"]["configuration"] == "vr"
+        assert summary["scenario"]["law"]["configuration"] == "vr"
         assert summary["scenario"]["simulation_duration"] == 0.4
         assert (
             summary["scenario"]["people"]["visitor"]["kind"] == "GeneratedWalk"
@@ -291,8 +291,32 @@ _NOT_BVH = ("walk.bvh", "HIERARCHY\nROOT Hips\n{\n")
 BAD_INPUT = {
     "unknown_key": (_text("{weather: 1}"), "--scenario-text:1: weather:"),
     "misspelt_key": (
-        _text("{ssm: {configuratoin: vr}}"),
-        "ssm.configuratoin: unknown key; did you mean 'configuration'?",
+        _text("{law: {configuratoin: vr}}"),
+        "law.configuratoin: unknown key; did you mean 'configuration'?",
+    ),
+    "former_key": (
+        _text("{law: {configuration: vr}}"),
+        "--scenario-text:1: ssm: is now law",
+    ),
+    "law_without_factory": (
+        _text("{law: !Custom {}}"),
+        "law.factory: '' must be",
+    ),
+    "law_from_nowhere": (
+        _text("{law: !Custom {factory: 'no_such.module:make'}}"),
+        "law.factory: there is no module 'no_such.module', neither installed",
+    ),
+    "law_without_such_a_function": (
+        _text("{law: !Custom {factory: 'json:make_law'}}"),
+        "law.factory: module 'json' has no function 'make_law'",
+    ),
+    "law_that_is_none": (
+        _text("{law: !Custom {factory: 'builtins:dict'}}"),
+        "law.factory: builtins:dict: what it returns has no `traits`",
+    ),
+    "law_with_a_list": (
+        _text("{law: !Custom {factory: 'a:b', parameters: {x: [1]}}}"),
+        "law.parameters.x: must be one of: true or false, a whole number",
     ),
     "misspelt_key_in_a_file": (
         _file("Cell:\n  people:\n    a:\n      sped: 1.0\n"),
@@ -337,9 +361,9 @@ BAD_INPUT = {
     "negative_seed": (("--seed", "-1"), "--seed: -1"),
     "huge_seed": (("--seed", "1" + 30 * "0"), "--seed: 1000"),
     "seed_is_no_number": (("--seed", "x"), "--seed"),
-    "yaml_syntax": (_text("{ssm: ["), "--scenario-text:1: not YAML"),
+    "yaml_syntax": (_text("{law: ["), "--scenario-text:1: not YAML"),
     "yaml_syntax_in_a_file": (
-        _file("Cell:\n  ssm: {\n"),
+        _file("Cell:\n  law: {\n"),
         "cell.yaml:3: not YAML",
     ),
     "yaml_is_a_list": (_text("[1, 2]"), "must be a mapping"),
@@ -372,8 +396,8 @@ BAD_INPUT = {
     ),
     "unknown_ssm": (("--ssm", "vx"), "--ssm: 'vx' is unknown"),
     "unknown_ssm_in_text": (
-        _text("{ssm: {configuration: vx}}"),
-        "ssm.configuration: 'vx' is unknown",
+        _text("{law: {configuration: vx}}"),
+        "law.configuration: 'vx' is unknown",
     ),
     "key_of_before": (
         _text("{sensing: lidar}"),
@@ -415,8 +439,8 @@ BAD_INPUT = {
         "people.visitor.position: [1e+120, 0.0] should be two numbers",
     ),
     "key_twice": (
-        _text("{ssm: {C_dC: 0.4},\n ssm: {C_dC: 0.9}}"),
-        "--scenario-text:2: ssm: appears twice, first in line 1",
+        _text("{law: {C_dC: 0.4},\n law: {C_dC: 0.9}}"),
+        "--scenario-text:2: law: appears twice, first in line 1",
     ),
     "name_twice_in_a_file": (
         _file("Cell: {}\nOther: {}\nCell: {random_seed: 3}\n"),

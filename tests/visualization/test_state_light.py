@@ -2,8 +2,10 @@ import unittest
 
 from fake_meshcat import FakeMeshcat
 import numpy as np
+from paper_cell import RINGS
+from pydrake.common.value import Value
 
-from tofssm_drake.messages import RobotState
+from tofssm_drake.messages import RobotState, SpeedDecision
 import tofssm_drake.visualization.state_light as mut
 
 
@@ -20,17 +22,21 @@ class TestMeshes(unittest.TestCase):
 class TestStateLight(unittest.TestCase):
     def setUp(self):
         self.meshcat = FakeMeshcat()
-        self.dut = mut.StateLight(meshcat=self.meshcat)
+        self.dut = mut.StateLight(meshcat=self.meshcat, links=RINGS)
         self.context = self.dut.CreateDefaultContext()
 
     def test_ports(self):
         self.assertEqual(self.dut.num_input_ports(), 1)
-        self.assertEqual(self.dut.get_input_port(0).get_name(), "robot_state")
+        self.assertEqual(self.dut.get_input_port(0).get_name(), "decision")
 
     def test_one_state_is_shown(self):
-        for tick, state in enumerate([0, 1, 2, 0]):
+        for tick, (state, target) in enumerate(
+            [(0, 0.0), (1, 0.5), (1, 0.01), (2, 1.0), (0, np.nan)]
+        ):
             self.context.SetTime(tick)
-            self.dut.GetInputPort("robot_state").FixValue(self.context, [state])
+            self.dut.GetInputPort("decision").FixValue(
+                self.context, Value(SpeedDecision(name=RINGS, target=target))
+            )
             self.dut.ForcedPublish(self.context)
             shown = [
                 s

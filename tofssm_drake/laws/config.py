@@ -12,9 +12,7 @@ CONFIGURATIONS = ("vo", "vr", "sm")
 class SsmConfig:
     """Settings of the safety law, by default those of the paper's Table.
 
-    The names are the paper's symbols. For distances that are measured from
-    the robot's base by a lidar, the paper offsets the constants by the
-    workspace radius of 0.82 m: `C_dC = 1.12, d_C_sm = 1.32, d_R_sm = 1.92`.
+    The names are the paper's symbols.
     """
 
     # Which distances watch the robot: "vo" uses the relative directed speed
@@ -132,6 +130,29 @@ class SsmConfig:
             0.0 < self.rho_reduced < 1.0,
             f"{where}.rho_reduced: {self.rho_reduced!r} must be between 0 "
             "and 1",
+        )
+
+    def grow(self, offset: float) -> "SsmConfig":
+        """Returns the settings of a link that is measured from farther away.
+
+        The constant distances are greater by the offset. For distances that a
+        lidar measures from the axis of the robot's base, the paper's Table
+        adds the radius of the workspace, 0.82 m: `C_dC = 1.12`,
+        `d_C_sm = 1.32`, `d_R_sm = 1.92`.
+
+        Args:
+            offset: Between the point that is measured from and the centre of
+                an ordinary link, m.
+        """
+        if offset == 0.0:
+            return self
+        # Exact in decimals: 0.3 + 0.82 is 1.12.
+        return dc.replace(
+            self,
+            **{
+                name: round(getattr(self, name) + offset, 12)
+                for name in ("C_dC", "d_C_sm", "d_R_sm")
+            },
         )
 
     def k_max(self) -> float:

@@ -54,6 +54,23 @@ def make_distance_constants(config: SsmConfig) -> DistanceConstants:
     )
 
 
+def make_link_constants(
+    config: SsmConfig, name: tuple[str, ...], offset: np.ndarray | None = None
+) -> tuple[DistanceConstants, ...]:
+    """Returns the constants of each link, (m,).
+
+    Args:
+        config: Settings.
+        name: The m watched links.
+        offset: See `SsmConfig.grow`, m, (m,); None: 0.
+    """
+    offset = np.zeros(len(name)) if offset is None else offset
+    return tuple(
+        make_distance_constants(config.grow(float(more)))
+        for _, more in zip(name, offset, strict=True)
+    )
+
+
 @njit(cache=True)
 def critical_distance(c, k, link_speed):
     """Returns Eq. 5b; see calc_critical_distance()."""

@@ -10,7 +10,7 @@ from tofssm_drake.laws.config import SsmConfig
 from tofssm_drake.laws.distances import (
     DistanceConstants,
     critical_distance,
-    make_distance_constants,
+    make_link_constants,
     reduced_distance,
 )
 from tofssm_drake.messages import (
@@ -66,11 +66,14 @@ def _threshold(C_dC, distance):
 
 
 @njit(cache=True)
-def _calc_index(c, state, sequence, distance, link_speed, k, health, index):
+def _calc_index(
+    constants, state, sequence, distance, link_speed, k, health, index
+):
     # Rows of `index`: sequence, dsi and the thresholds' robot state, as they
     # will be stored, then d_C, d_R, dsi_raw, dsi_C, dsi_R, health.
     m = len(sequence)
     for i in range(m):
+        c = constants[i]
         dsi = state[m + i]
         is_new = sequence[i] != state[i]
         robot_state = state[3 * m] if is_new else state[2 * m + i]
@@ -124,7 +127,7 @@ def make_initial_filter_state(m: int) -> np.ndarray:
 
 def calc_safety_index(
     *,
-    constants: DistanceConstants,
+    constants: tuple[DistanceConstants, ...],
     state: np.ndarray,
     separation: Separation,
 ) -> SafetyIndex:
@@ -136,7 +139,7 @@ def calc_safety_index(
     it is evaluated. A link that is not healthy keeps its index.
 
     Args:
-        constants: Settings.
+        constants: Settings of each of the m links.
         state: See make_initial_filter_state(), shape (3 m + 1,).
         separation: Result of the sensing.
 
@@ -151,7 +154,7 @@ def calc_safety_index(
         separation.sequence,
         separation.distance,
         separation.link_speed,
-        separation.k_o if constants.use_k_o else separation.k_l,
+        separation.k_o if constants[0].use_k_o else separation.k_l,
         separation.health,
         index,
     )
@@ -228,24 +231,27 @@ class DsiFilter(LeafSystem):
     calc_safety_index().
 
     Args:
-        config: Settings.
-        period: Control tick, s.
         name: The m watched links.
+        config: Settings.
+        offset: By how much the law's constant distances are greater at each
+            link, m, (m,); None: 0.
+        period: Control tick, s.
     """
 
     def __init__(
         self,
         *,
-        config: SsmConfig | None = None,
-        period: float = 0.008,
         name: tuple[str, ...],
+        config: SsmConfig | None = None,
+        offset: np.ndarray | None = None,
+        period: float = 0.008,
     ):
         super().__init__()
         config = SsmConfig() if config is None else config
-        config.check("ssm")
+        config.check("law")
         require_period(period)
-        self._constants = make_distance_constants(config)
         self._name = tuple(name)
+        self._constants = make_link_constants(config, self._name, offset)
 
         self._separation = self.DeclareAbstractInputPort(
             "separation", Value(make_empty_separation(self._name))

@@ -6,6 +6,7 @@ import functools
 import math
 import threading
 
+from pydrake.common.value import Value
 from pydrake.systems.framework import EventStatus, LeafSystem
 from ruckig import (
     ControlInterface,
@@ -16,12 +17,40 @@ from ruckig import (
     Trajectory,
 )
 
-from tofssm_drake.errors import require_period
-from tofssm_drake.laws.config import SsmConfig
-from tofssm_drake.messages import RobotState
+from tofssm_drake.errors import require, require_period
+from tofssm_drake.messages import make_empty_decision
 
 # Rounding error of a completed profile.
 _TOLERANCE = 1e-9
+
+
+@dc.dataclass(kw_only=True)
+class SpeedRamp:
+    """How fast the speed fraction may change, the same for every law."""
+
+    # Greatest rate of the speed fraction, 1/s. *Assumed*: with the next one
+    # it gives a stop within the paper's T_stop and its braking distance.
+    max_rate: float = 10.0 / 3.0
+
+    # Greatest acceleration of the speed fraction, 1/s^2. *Assumed*.
+    max_acceleration: float = 100.0 / 3.0
+
+    # True follows the paper literally: the speed fraction may still rise after
+    # the decision to stop. For comparison only.
+    literal: bool = False
+
+    def check(self, where: str) -> None:
+        """Raises UserError unless every setting is valid.
+
+        Args:
+            where: Name of these settings in the user's input.
+        """
+        for name in ("max_rate", "max_acceleration"):
+            value = getattr(self, name)
+            require(
+                math.isfinite(value) and value > 0.0,
+                f"{where}.{name}: {value!r} must be a number greater than 0",
+            )
 
 
 @functools.lru_cache(maxsize=16)
@@ -44,7 +73,7 @@ atexit.register(_make_planner.cache_clear)
 
 def calc_next_speed_fraction(
     *,
-    config: SsmConfig,
+    ramp: SpeedRamp,
     period: float,
     rho: float,
     rate: float,
@@ -58,14 +87,14 @@ def calc_next_speed_fraction(
 
     If the target drops below where rho is heading while rho still rises, the
     limited acceleration would let rho rise for up to
-    rho_max_rate / rho_max_acceleration (0.1 s) more, and a stop would take that
-    much longer than T_stop. Unless `config.literal`, the rise is therefore cut
-    off in that tick: rho never passes its target from below, never rises while
+    max_rate / max_acceleration (0.1 s) more, and a stop would take that much
+    longer than T_stop. Unless `ramp.literal`, the rise is therefore cut off
+    in that tick: rho never passes its target from below, never rises while
     the target is 0, and stops from any state within the time and the distance
     of a stop from rho = 1.
 
     Args:
-        config: Settings.
+        ramp: Settings.
         period: Control tick, s.
         rho: Speed fraction, in [0, 1].
         rate: Its rate, 1/s.
@@ -77,14 +106,14 @@ def calc_next_speed_fraction(
     if rho == target and rate == 0.0:
         return rho, rate
     highest = 1.0
-    if not config.literal:
+    if not ramp.literal:
         highest = max(rho, target)
         if rate > 0.0:
-            room = 2.0 * config.rho_max_acceleration * (highest - rho)
+            room = 2.0 * ramp.max_acceleration * (highest - rho)
             rate = min(rate, math.sqrt(room))
     otg, trajectory, otg_input = _make_planner(
-        config.rho_max_rate,
-        config.rho_max_acceleration,
+        ramp.max_rate,
+        ramp.max_acceleration,
         threading.get_ident(),
     )
     otg_input.current_velocity = [rho]
@@ -105,41 +134,42 @@ def calc_next_speed_fraction(
 
 
 class SpeedFractionTrajectory(LeafSystem):
-    """Turns the TriSSM state into a smooth speed fraction.
+    """Turns a law's decision into a smooth speed fraction.
 
     .. pydrake_system::
 
         name: SpeedFractionTrajectory
         input_ports:
-        - robot_state
+        - decision
         output_ports:
         - speed_fraction
 
-    `robot_state` (vector, 1) is psi; its targets are rho = 0, `rho_reduced`
-    and 1 (the paper's Eq. 3), and anything that is not a number of
-    `RobotState` stops. `speed_fraction` (vector, 1) is rho. It starts at 0.
-    The state is rho and its rate, 1/s.
+    `decision` is a `SpeedDecision`; a target that is not a number from 0 to 1
+    stops. `speed_fraction` (vector, 1) is rho, which moves towards the target.
+    It starts at 0. The state is rho and its rate, 1/s.
 
     Args:
-        config: Settings.
+        name: The m watched links.
+        ramp: Settings.
         period: Control tick, s.
     """
 
     def __init__(
-        self, *, config: SsmConfig | None = None, period: float = 0.008
+        self,
+        *,
+        name: tuple[str, ...],
+        ramp: SpeedRamp | None = None,
+        period: float = 0.008,
     ):
         super().__init__()
-        config = SsmConfig() if config is None else config
-        config.check("ssm")
+        ramp = SpeedRamp() if ramp is None else ramp
+        ramp.check("ramp")
         require_period(period)
-        self._config = dc.replace(config)
+        self._ramp = dc.replace(ramp)
         self._period = period
-        self._targets = {
-            float(RobotState.STOP): 0.0,
-            float(RobotState.REDUCED): config.rho_reduced,
-            float(RobotState.NORMAL): 1.0,
-        }
-        self._robot_state = self.DeclareVectorInputPort("robot_state", 1)
+        self._decision = self.DeclareAbstractInputPort(
+            "decision", Value(make_empty_decision(name))
+        )
         self._rho = self.DeclareDiscreteState(1)
         self._rate = self.DeclareDiscreteState(1)
         self.DeclareStateOutputPort("speed_fraction", self._rho)
@@ -151,11 +181,11 @@ class SpeedFractionTrajectory(LeafSystem):
         # Before the update: those of the context.
         (rho,) = discrete_state.get_value(self._rho).tolist()
         (rate,) = discrete_state.get_value(self._rate).tolist()
-        target = self._targets.get(self._robot_state.Eval(context)[0], 0.0)
+        target = self._decision.Eval(context).safe_target
         if rho == target and rate == 0.0:
             return EventStatus.DidNothing()
         rho, rate = calc_next_speed_fraction(
-            config=self._config,
+            ramp=self._ramp,
             period=self._period,
             rho=rho,
             rate=rate,

@@ -12,8 +12,13 @@ from tofssm_drake.messages import (
     RingHealth,
     RobotState,
     SafetyIndex,
+    SpeedDecision,
+    make_empty_decision,
     make_empty_safety_index,
 )
+
+SIGNALS = ("d_C", "d_R", "dsi_raw", "dsi", "dsi_C", "dsi_R")
+"""Names of the signals in the law's decision: fields of `SafetyIndex`."""
 
 # As compile-time constants for the kernel.
 _STOP = float(RobotState.STOP)
@@ -88,60 +93,97 @@ def calc_ring_states(
     return states
 
 
-def calc_reason(*, index: SafetyIndex, now: float, config: SsmConfig) -> str:
+def calc_reason(
+    *,
+    index: SafetyIndex,
+    now: float,
+    config: SsmConfig,
+    offset: np.ndarray | None = None,
+) -> str:
     """Says in one line why the robot is not in the normal state.
 
-    It names the deciding link with its distance and threshold. Of several links
-    in the lowest state that is one without a distance, else the one whose index
-    is greatest relative to its threshold.
+    See `explain_states`, which also has the arguments.
+    """
+    states = calc_ring_states(index=index, now=now, config=config)
+    return explain_states(
+        states=states, index=index, now=now, config=config, offset=offset
+    )[1]
+
+
+def explain_states(
+    *,
+    states: np.ndarray,
+    index: SafetyIndex,
+    now: float,
+    config: SsmConfig,
+    offset: np.ndarray | None = None,
+) -> tuple[str, str]:
+    """Returns which link decides, and in one line why.
+
+    Of several links in the lowest state that is one without a distance, else
+    the one whose index is greatest relative to its threshold.
 
     Args:
+        states: From `calc_ring_states`, (m,).
         index: Filtered indices and thresholds.
         now: Time, s.
         config: Settings.
+        offset: See `DsiFilter`, m, (m,); None: 0.
+
+    Returns:
+        Name of the link, empty if the robot is in the normal state; and the
+        line, with the link's distance and threshold if it has one.
     """
-    states = calc_ring_states(index=index, now=now, config=config)
     psi = states.min()
     if psi == RobotState.NORMAL:
-        return "normal"
+        return "", "normal"
     is_stop = psi == RobotState.STOP
     state = "stop" if is_stop else "reduced"
     threshold = index.dsi_C if is_stop else index.dsi_R
     deciding, greatest = -1, -np.inf
     for i in np.flatnonzero(states == psi):
-        name = index.name[i]
-        age = now - index.time[i]
-        if index.sequence[i] < 0:
-            return f"{state}: {name} has no sample yet"
-        problem = index.problem[i] if index.problem else ""
-        if index.health[i] not in _WORKING:
-            return f"{state}: {name} is faulted{problem and ', ' + problem}"
-        if not abs(age) <= config.deadline:
-            return (
-                f"{state}: {name} sample is {age:.3f} s old, deadline "
-                f"{config.deadline:.3f} s"
-            )
-        if index.health[i] == RingHealth.BLIND and not is_stop:
-            return f"{state}: {name} is blind"
-        is_near = index.dsi[i] > index.dsi_R[i]
-        if index.health[i] == RingHealth.DEGRADED and not is_near:
-            return f"{state}: {name} is degraded{problem and ', ' + problem}"
+        problem = _find_problem(index, i, now, config, is_stop)
+        if problem:
+            return index.name[i], f"{state}: {index.name[i]} {problem}"
         ratio = index.dsi[i] / threshold[i]
         if not ratio <= greatest:
             deciding, greatest = i, ratio
-    distance = config.C_dC / np.sqrt(index.dsi[deciding])
+    more = 0.0 if offset is None else float(offset[deciding])
+    text = _describe_distance(index, deciding, config.grow(more).C_dC, is_stop)
+    return index.name[deciding], f"{state}: {text}"
+
+
+def _find_problem(index, i, now, config, is_stop):
+    """Returns why a link counts without its distance; empty: it does not."""
+    age = now - index.time[i]
+    if index.sequence[i] < 0:
+        return "has no sample yet"
+    problem = index.problem[i] if index.problem else ""
+    if index.health[i] not in _WORKING:
+        return f"is faulted{problem and ', ' + problem}"
+    if not abs(age) <= config.deadline:
+        return f"sample is {age:.3f} s old, deadline {config.deadline:.3f} s"
+    if index.health[i] == RingHealth.BLIND and not is_stop:
+        return "is blind"
+    is_near = index.dsi[i] > index.dsi_R[i]
+    if index.health[i] == RingHealth.DEGRADED and not is_near:
+        return f"is degraded{problem and ', ' + problem}"
+    return ""
+
+
+def _describe_distance(index, i, C_dC, is_stop):
+    """Returns a link with its distance and the threshold it is under."""
+    distance = C_dC / np.sqrt(index.dsi[i])
     symbol, limit = (
-        ("<= d_C", index.d_C[deciding])
-        if is_stop
-        else ("< d_R", index.d_R[deciding])
+        ("<= d_C", index.d_C[i]) if is_stop else ("< d_R", index.d_R[i])
     )
-    text = f"{state}: {index.name[deciding]} at {distance:.3f} m"
-    dsi_raw = index.dsi_raw[deciding]
-    if dsi_raw != index.dsi[deciding]:
+    text = f"{index.name[i]} at {distance:.3f} m"
+    dsi_raw = index.dsi_raw[i]
+    if dsi_raw != index.dsi[i]:
         if dsi_raw == 0.0:
             measured = "clear"
         elif dsi_raw > 0.0:
-            measured = f"{config.C_dC / np.sqrt(dsi_raw):.3f} m"
+            measured = f"{C_dC / np.sqrt(dsi_raw):.3f} m"
         else:
             measured = "nothing"
         text += f" (filtered; measured {measured})"
@@ -169,17 +211,23 @@ class TriSsmState(LeafSystem):
     outputs depend on time, because an old sample stops the robot.
 
     Args:
-        config: Settings.
         name: The m watched links.
+        config: Settings.
+        offset: See `DsiFilter`, m, (m,); None: 0.
     """
 
     def __init__(
-        self, *, config: SsmConfig | None = None, name: tuple[str, ...]
+        self,
+        *,
+        name: tuple[str, ...],
+        config: SsmConfig | None = None,
+        offset: np.ndarray | None = None,
     ):
         super().__init__()
         config = SsmConfig() if config is None else config
-        config.check("ssm")
+        config.check("law")
         self._config = dc.replace(config)
+        self._offset = offset
         self._dsi = self.DeclareAbstractInputPort(
             "dsi", Value(make_empty_safety_index(tuple(name)))
         )
@@ -203,18 +251,107 @@ class TriSsmState(LeafSystem):
             prerequisites_of_calc=prerequisites,
         )
 
-    def _calc(self, function, context):
-        return function(
-            index=self._dsi.Eval(context),
-            now=context.get_time(),
-            config=self._config,
-        )
-
     def _calc_robot_state(self, context, output):
         output[0] = min(self._ring_states.Eval(context).tolist())
 
     def _calc_ring_states(self, context, output):
-        output.SetFromVector(self._calc(calc_ring_states, context))
+        output.SetFromVector(
+            calc_ring_states(
+                index=self._dsi.Eval(context),
+                now=context.get_time(),
+                config=self._config,
+            )
+        )
 
     def _calc_reason(self, context, output):
-        output.set_value(self._calc(calc_reason, context))
+        output.set_value(
+            calc_reason(
+                index=self._dsi.Eval(context),
+                now=context.get_time(),
+                config=self._config,
+                offset=self._offset,
+            )
+        )
+
+
+class TriSsmDecision(LeafSystem):
+    """Puts the states into the message that all laws have in common.
+
+    .. pydrake_system::
+
+        name: TriSsmDecision
+        input_ports:
+        - dsi
+        - ring_states
+        output_ports:
+        - decision
+
+    `dsi` is a `SafetyIndex`, `ring_states` (vector, m) the psi_i that
+    `TriSsmState` made of it. `decision` is a `SpeedDecision`: its target is 0,
+    `rho_reduced` or 1 (the paper's Eq. 3) for the lowest psi_i; one that is not
+    a number of `RobotState` counts as stop. Its signals are `SIGNALS`.
+
+    Args:
+        name: The m watched links.
+        config: Settings.
+        offset: See `DsiFilter`, m, (m,); None: 0.
+    """
+
+    def __init__(
+        self,
+        *,
+        name: tuple[str, ...],
+        config: SsmConfig | None = None,
+        offset: np.ndarray | None = None,
+    ):
+        super().__init__()
+        config = SsmConfig() if config is None else config
+        config.check("law")
+        self._config = dc.replace(config)
+        self._offset = offset
+        self._targets = {
+            _STOP: 0.0,
+            _REDUCED: config.rho_reduced,
+            _NORMAL: 1.0,
+        }
+        self._dsi = self.DeclareAbstractInputPort(
+            "dsi", Value(make_empty_safety_index(tuple(name)))
+        )
+        self._states = self.DeclareVectorInputPort("ring_states", len(name))
+        self.DeclareAbstractOutputPort(
+            "decision",
+            alloc=Value(make_empty_decision(tuple(name), SIGNALS)).Clone,
+            calc=self._calc_decision,
+            prerequisites_of_calc={
+                self._dsi.ticket(),
+                self._states.ticket(),
+                # The reason tells the age of an old sample.
+                self.time_ticket(),
+            },
+        )
+
+    def _calc_decision(self, context, output):
+        index = self._dsi.Eval(context)
+        states = np.array(
+            [
+                psi if psi in self._targets else _STOP
+                for psi in self._states.Eval(context).tolist()
+            ]
+        )
+        link, reason = explain_states(
+            states=states,
+            index=index,
+            now=context.get_time(),
+            config=self._config,
+            offset=self._offset,
+        )
+        output.set_value(
+            SpeedDecision(
+                name=index.name,
+                target=self._targets[states.min()],
+                link=link,
+                reason=reason,
+                state=states.astype(np.int8),
+                signal={name: getattr(index, name) for name in SIGNALS},
+            )
+        )

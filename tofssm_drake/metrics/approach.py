@@ -24,6 +24,7 @@ CAUSES = {
     "unseen": "no ring ever saw the person near enough to stop the robot",
     "short": "seen in time, but the distance the law keeps is too short",
     "beyond": "touched farther from every ring than its critical distance",
+    "unjudged": "the law has no distance at which it stops the robot",
 }
 
 
@@ -82,6 +83,7 @@ class Approach:
     """Distance at which the robot would have had to be told to stop, so that
     it rests before this person arrives, m; NaN: unknown."""
     rings: tuple[RingApproach, ...]
+    """None if the approach cannot be judged."""
 
 
 def find_neighbours(
@@ -182,9 +184,23 @@ def is_seen(samples: Samples, ring: str) -> np.ndarray:
     return np.isfinite(measured) & (measured < true + SEEN_TOLERANCE)
 
 
+def get_stop_distance(samples: Samples, ring: str) -> np.ndarray:
+    """Returns the distance at which the law stops the robot, m, (k,).
+
+    It is the signal whose bound is "stop"; NaN if the law has none.
+    """
+    name = samples.find_bound("stop")
+    if not name:
+        return np.full(len(samples), np.nan)
+    return samples[f"{ring}_{name}"]
+
+
 def find_due(samples: Samples, ring: str) -> np.ndarray:
-    """Returns at which ticks a ring should stop the robot, by the truth."""
-    d_C = samples[f"{ring}_d_C"]
+    """Returns at which ticks a ring should stop the robot, by the truth.
+
+    None if the law has no distance at which it stops.
+    """
+    d_C = get_stop_distance(samples, ring)
     return np.isfinite(d_C) & (samples[f"{ring}_true_distance"] <= d_C)
 
 
@@ -232,7 +248,11 @@ def _follow_ring(samples, ring, start, first):
     return RingApproach(
         ring=ring,
         due=np.inf if due is None else float(t[due]),
-        d_C=np.nan if due is None else float(samples[f"{ring}_d_C"][due]),
+        d_C=(
+            np.nan
+            if due is None
+            else float(get_stop_distance(samples, ring)[due])
+        ),
         reacted=np.inf if reacted is None else float(t[reacted]),
         nearest_reading=nearest,
         sensors=sensors,
@@ -272,6 +292,8 @@ def find_approach(samples: Samples, first: int) -> Approach:
     t = samples["t"]
     start, stop_tick = _find_window(samples, first)
     stop = np.inf if stop_tick is None else float(t[stop_tick])
+    if not samples.find_bound("stop"):
+        return _make_unjudged_approach(stop)
     rings = tuple(
         _follow_ring(samples, ring, start, first) for ring in samples.rings
     )
@@ -308,6 +330,20 @@ def find_approach(samples: Samples, first: int) -> Approach:
         person_speed=speed,
         needed=needed,
         rings=rings,
+    )
+
+
+def _make_unjudged_approach(stop):
+    """Returns what is known if the law has no distance at which it stops."""
+    return Approach(
+        cause="unjudged",
+        ring="",
+        sensors=None,
+        late=np.nan,
+        stop=stop,
+        person_speed=np.nan,
+        needed=np.nan,
+        rings=(),
     )
 
 

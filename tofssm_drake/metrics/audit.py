@@ -12,7 +12,7 @@ the greatest of its links. It is given for two speeds of the person:
 - *walking in*: 1.6 m/s towards the robot at all times, which the standard
   asks for where the person's speed is not monitored;
 - *as monitored*: the directed speed of the person as the monitor had it, which
-  the standard allows where it is monitored. Only Vo does that. A link that is
+  the standard allows where it is monitored, as some laws do. A link that is
   clear measures no speed: the monitor then assumes V_hmax, and so does this.
   It is therefore also given *as measured*, over the links that measure a
   distance only, and then says nothing about the others. (In the first frame
@@ -25,7 +25,7 @@ import dataclasses as dc
 
 import numpy as np
 
-from tofssm_drake.laws.config import SsmConfig
+from tofssm_drake.laws.law import LawTraits
 from tofssm_drake.messages import RobotState
 from tofssm_drake.metrics.metrics import calc_periods, find_start
 from tofssm_drake.metrics.standards import (
@@ -39,21 +39,27 @@ QUANTILES = (0.05, 0.5, 0.95)
 
 
 def make_audit_metadata(
-    *, config: AuditConfig, ssm: SsmConfig, latency: dict[str, float]
+    *,
+    config: AuditConfig,
+    law: LawTraits,
+    offset: dict[str, float],
+    latency: dict[str, float],
 ) -> dict:
     """Returns what `calc_audit` reads, as plain values (JSON).
 
     Args:
         config: Of the audit.
-        ssm: The law as it was run.
+        law: What the law says of itself.
+        offset: By how much its distances are greater at each link, m.
         latency: From `make_latency_budget`, s.
     """
     return {
         "V_h": config.V_h,
-        "T_R": ssm.T_R,
-        "T_stop": ssm.T_stop,
-        "C_dC": ssm.C_dC,
-        "monitors_person": ssm.configuration == "vo",
+        "T_R": law.T_R,
+        "T_stop": law.T_stop,
+        # Exact in decimals: 0.3 + 0.82 is 1.12.
+        "C_dC": {link: round(law.C + d, 12) for link, d in offset.items()},
+        "monitors_person": law.monitors_person,
         "latency_s": dict(latency),
     }
 
@@ -150,29 +156,35 @@ def calc_audit(samples: Samples) -> Audit | None:
         samples: The run, with `metadata["audit"]` of `make_audit_metadata`.
 
     Returns:
-        The audit; None if the metadata or a column is missing, as in records
-        of an earlier version.
+        The audit; None if the law has no distance at which it stops, or if
+        the metadata or a column is missing, as in records of an earlier
+        version.
     """
     about = samples.metadata.get("audit")
+    if not samples.find_bound("stop"):
+        return None
     columns = [f"{link}_link_closing_speed" for link in samples.rings]
     if not about or any(name not in samples for name in columns):
         return None
     periods = calc_periods(samples["t"])
     v_r = samples.ring("link_closing_speed")
-    d_C = samples.ring("d_C")
+    d_C = samples.ring(samples.find_bound("stop"))
     is_known = np.isfinite(d_C) & (samples.ring("sequence") >= 0)
     is_known[: find_start(samples["robot_state"])] = False
     measures = np.isfinite(samples.ring("measured_distance"))
 
     def find_shortfall(v_h, counts):
-        S_p = _calc_S_p(about, v_h, v_r)
+        S_p = _calc_S_p(samples, about, v_h, v_r)
         return _find_shortfall(samples, periods, counts, S_p, v_h)
 
     walking_in = np.full(v_r.shape, about["V_h"])
     monitored = samples.ring("closing_speed") - v_r
     inside = (
         is_known
-        & (samples.ring("true_distance") < _calc_S_p(about, walking_in, v_r))
+        & (
+            samples.ring("true_distance")
+            < _calc_S_p(samples, about, walking_in, v_r)
+        )
         & (samples["robot_state"] != RobotState.STOP)[:, None]
     ).any(axis=1)
     speed = samples["tcp_speed"]
@@ -194,20 +206,24 @@ def calc_audit(samples: Samples) -> Audit | None:
     )
 
 
-def _calc_S_p(about, v_h, v_r):
+def _calc_S_p(samples, about, v_h, v_r):
     """Returns protective separation distances, m, with the law's numbers."""
+    C = about["C_dC"]
+    # Older records have one number for all links.
+    if isinstance(C, dict):
+        C = np.array([C[link] for link in samples.rings])
     return calc_protective_distance(
         v_h=v_h,
         v_r=v_r,
         T_R=about["T_R"],
         T_S=about["T_stop"],
-        C=about["C_dC"],
+        C=C,
     )
 
 
 def _find_shortfall(samples, periods, counts, S_p, v_h):
     """Returns the shortfall of S_p against d_C, where it counts; (k, m)."""
-    d_C = samples.ring("d_C")
+    d_C = samples.ring(samples.find_bound("stop"))
     rows = np.flatnonzero(counts.any(axis=1))
     if not len(rows):
         nothing = dict.fromkeys(

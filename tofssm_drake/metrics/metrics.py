@@ -55,7 +55,7 @@ class StateEvent:
     """How long the new state lasted, s."""
     ring: str
     """The ring that decides: of those with the new robot state, the one with
-    the least measured distance; empty where none has it."""
+    the least measured distance; empty where none is known to have it."""
     measured_distance: float
     """What that ring measured, m; inf: clear."""
     true_distance: float
@@ -63,7 +63,7 @@ class StateEvent:
     tcp_speed: float
     """Speed of the tool centre point, m/s."""
     reason: str
-    """The state logic's reason."""
+    """The law's reason."""
 
     @property
     def kind(self) -> str:
@@ -102,7 +102,6 @@ class RingView:
     """How one ring saw the person at one instant."""
 
     ring: str
-    state: RobotState
     measured_distance: float
     """||D|| as measured, m; inf: clear, NaN: nothing known."""
     true_distance: float
@@ -354,7 +353,6 @@ def make_ring_view(samples: Samples, ring: str, tick: int) -> RingView:
         )
     return RingView(
         ring=ring,
-        state=RobotState(samples[f"{ring}_state"][tick]),
         measured_distance=float(samples[f"{ring}_measured_distance"][tick]),
         true_distance=true,
         azimuth=azimuth,

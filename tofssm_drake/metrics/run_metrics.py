@@ -337,8 +337,8 @@ def _calc_events(samples):
             "velocity_change_at_stop_mps": _mean([e.tcp_speed for e in stops]),
             "separation_at_stop_m": _calc_separation(stops),
             "separation_at_reduce_m": _calc_separation(reductions),
-            "d_C_at_stop_m": _calc_threshold(samples, stops, "d_C"),
-            "d_R_at_reduce_m": _calc_threshold(samples, reductions, "d_R"),
+            "d_C_at_stop_m": _calc_threshold(samples, stops, "stop"),
+            "d_R_at_reduce_m": _calc_threshold(samples, reductions, "slow"),
         }
         | _calc_states(samples, events)
     )
@@ -354,8 +354,11 @@ def _calc_separation(events):
     return _mean([d for d in distance if np.isfinite(d)])
 
 
-def _calc_threshold(samples, events, name):
-    """Returns the mean d_C or d_R at events, of the links that decide, m."""
+def _calc_threshold(samples, events, bound):
+    """Returns the mean bound at events, of the links that decide, m."""
+    name = samples.find_bound(bound)
+    if not name:
+        return np.nan
     distance = [
         float(samples[f"{event.ring}_{name}"][row])
         for event, row in zip(events, _find_rows(samples, events), strict=True)

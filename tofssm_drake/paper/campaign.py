@@ -74,7 +74,7 @@ VARIANTS = {
             question="What do the corrections of the printed law change?",
             sensings=("tof",),
             configurations=CONFIGURATIONS,
-            changes="{ssm: {literal: true}, separation: {literal: true}}",
+            changes="{law: {literal: true}, separation: {literal: true}}",
         ),
         Variant(
             key="kmax",
@@ -83,7 +83,7 @@ VARIANTS = {
             "one of 3.3 m/s. Does it matter?",
             sensings=("tof", "ideal"),
             configurations=("vr",),
-            changes="{ssm: {k_lmax: 3.3}}",
+            changes="{law: {k_lmax: 3.3}}",
         ),
         Variant(
             key="exact",
@@ -103,7 +103,7 @@ VARIANTS = {
             sensings=("ideal",),
             configurations=CONFIGURATIONS,
             changes="{sensors: {motion_capture: {latency: 0.1}}, "
-            "ssm: {deadline: 0.2}}",
+            "law: {deadline: 0.2}}",
         ),
         _make_lidar_variant(
             "subtracted",

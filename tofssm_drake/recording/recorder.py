@@ -18,13 +18,18 @@ from tofssm_drake.messages import (
     MaskedScan,
     Reading,
     RobotState,
-    SafetyIndex,
     Separation,
-    make_empty_safety_index,
+    SpeedDecision,
+    classify_target,
+    make_empty_decision,
     make_empty_separation,
 )
 from tofssm_drake.people.motion import HumanMotion, capsule_ends_over_time
-from tofssm_drake.recording.samples import RING_COLUMNS, Samples, narrow_type
+from tofssm_drake.recording.samples import (
+    Samples,
+    get_link_columns,
+    narrow_type,
+)
 
 # Messages are packed when there are that many.
 _PACK_AT = 512
@@ -42,17 +47,13 @@ _OF_SEPARATION = {
     "sequence": "sequence",
     "sample_time": "time",
 }
-_OF_DSI = ("d_C", "d_R", "dsi_raw", "dsi", "dsi_C", "dsi_R")
 
 
-def pack_messages(
-    separations: list[Separation], indices: list[SafetyIndex]
-) -> dict[str, np.ndarray]:
+def pack_separations(separations: list[Separation]) -> dict[str, np.ndarray]:
     """Lays messages out as columns.
 
     Args:
         separations: k separations of the same m links, k > 0.
-        indices: Their safety indices.
 
     Returns:
         Arrays (k, m) by name of the recorder's column. The distance of a
@@ -73,8 +74,41 @@ def pack_messages(
         packed["sequence"] < 0, np.nan, packed["measured_distance"]
     )
     count = stack(separations, "count")
-    packed |= {name: count[..., i] for i, name in enumerate(_COUNTS)}
-    return packed | {name: stack(indices, name) for name in _OF_DSI}
+    return packed | {name: count[..., i] for i, name in enumerate(_COUNTS)}
+
+
+def pack_signals(
+    signals: list[tuple[np.ndarray, ...]], names: tuple[str, ...]
+) -> dict[str, np.ndarray]:
+    """Lays a law's signals out as columns.
+
+    Args:
+        signals: k times the value of each signal, (m,) each, k > 0.
+        names: The signals' names, in the same order.
+
+    Returns:
+        Arrays (k, m) by name.
+    """
+    return {
+        name: np.concatenate([values[i] for values in signals]).reshape(
+            len(signals), -1
+        )
+        for i, name in enumerate(names)
+    }
+
+
+def find_link_states(decision: SpeedDecision) -> list[int]:
+    """Returns the state of each link that a decision amounts to, (m,).
+
+    Without states of its law's own, the link that decides has the robot's
+    state, and all have if that is normal; the others' is not known: -1.
+    """
+    if len(decision.state):
+        return decision.state.tolist()
+    state = int(decision.robot_state)
+    if state == RobotState.NORMAL:
+        return [state] * len(decision.name)
+    return [state if name == decision.link else -1 for name in decision.name]
 
 
 class Truth(Protocol):
@@ -127,28 +161,40 @@ def _join(parts):
 class _Log:
     """The messages that one Context recorded, with the time of each."""
 
-    def __init__(self, scanned):
+    def __init__(self, scanned, signal_names):
+        self.signal_names = signal_names
         self.times = []
         self.separations = []
-        self.indices = []
         self.packed = []
+        self.signal_times = []
+        self.signals = []
+        self.packed_signals = []
         self.scans = {ring: [] for ring in scanned}
         self.packed_scans = {ring: [] for ring in scanned}
         self.sequence = dict.fromkeys(scanned, -1)
-        self.state_times = []
-        self.ring_states = []
+        self.decision_times = []
+        self.link_states = []
+        self.targets = []
+        self.deciding = []
         self.reasons = []
         # The last of each.
         self.separation = None
         self.some_missing = True
-        self.states = None
+        self.decision = None
+        self.signal = ()
+        self.decided = None
         self.why = None
 
     def pack(self):
         """Turns the messages into columns, a tenth of their size."""
         if self.separations:
-            self.packed.append(pack_messages(self.separations, self.indices))
-            self.separations, self.indices = [], []
+            self.packed.append(pack_separations(self.separations))
+            self.separations = []
+        if self.signals:
+            self.packed_signals.append(
+                pack_signals(self.signals, self.signal_names)
+            )
+            self.signals = []
         for ring, scans in self.scans.items():
             if scans:
                 self.packed_scans[ring].append(_pack_scans(scans))
@@ -172,10 +218,8 @@ class MessageLog(LeafSystem):
 
         name: MessageLog
         input_ports:
-        - ring_states
-        - reason
+        - decision
         - separation
-        - dsi
         - masked_scan_base
         - masked_scan_elbow
         - masked_scan_tool
@@ -187,12 +231,12 @@ class MessageLog(LeafSystem):
     safety law itself evaluates them. A publish would come after the law's
     state has changed, so that Drake would compute them again, which costs as
     much as the law. A message read at a tick is in force from then on. It is
-    kept when `separation` or a state is new: by contract `dsi` does not change
-    without a new separation.
+    kept when it is new; of `decision` its signals and the rest on their own.
 
     Args:
         period: Control tick, s.
         rings: Names of the m watched links, as in the messages.
+        signals: Names of the law's signals.
         scanned: Names of those that have a `masked_scan` port.
     """
 
@@ -201,18 +245,17 @@ class MessageLog(LeafSystem):
         *,
         period: float,
         rings: tuple[str, ...],
+        signals: tuple[str, ...],
         scanned: tuple[str, ...],
     ):
         super().__init__()
-        m = len(rings)
         self._rings = tuple(rings)
-        self._ring_states_port = self.DeclareVectorInputPort("ring_states", m)
-        self._reason_port = self.DeclareAbstractInputPort("reason", Value(""))
+        self._signals = tuple(signals)
+        self._decision_port = self.DeclareAbstractInputPort(
+            "decision", Value(make_empty_decision(self._rings, self._signals))
+        )
         self._separation_port = self.DeclareAbstractInputPort(
             "separation", Value(make_empty_separation(self._rings))
-        )
-        self._dsi_port = self.DeclareAbstractInputPort(
-            "dsi", Value(make_empty_safety_index(self._rings))
         )
         self._scan_ports = {
             name: (
@@ -226,7 +269,7 @@ class MessageLog(LeafSystem):
         self._log = self.DeclareCacheEntry(
             description="log",
             value_producer=ValueProducer(
-                allocate=lambda: Value(_Log(scanned)),
+                allocate=lambda: Value(_Log(scanned, self._signals)),
                 calc=ValueProducer.NoopCalc,
             ),
             prerequisites_of_calc={self.nothing_ticket()},
@@ -252,25 +295,47 @@ class MessageLog(LeafSystem):
             log.separation = separation
             log.times.append(time)
             log.separations.append(separation)
-            log.indices.append(self._dsi_port.Eval(context))
             sequence = separation.sequence.tolist()
             log.some_missing = min(sequence) < 0
             self._record_scans(context, log, sequence)
-            if len(log.separations) == _PACK_AT:
-                log.pack()
-        states = self._ring_states_port.Eval(context).tolist()
-        # Text costs more than numbers: one reason per robot state, and
-        # another one when the last ring has its first sample.
-        why = (min(states), log.some_missing)
-        if states != log.states or why != log.why:
-            if why != log.why:
-                log.reasons.append(self._reason_port.Eval(context))
-            else:
-                log.reasons.append(log.reasons[-1])
-            log.why = why
-            log.states = states
-            log.state_times.append(time)
-            log.ring_states.append(states)
+        decision = self._decision_port.Eval(context)
+        if decision is not log.decision:
+            log.decision = decision
+            self._record_signals(log, decision, time)
+        self._record_decision(log, decision, time)
+        if max(len(log.separations), len(log.signals)) >= _PACK_AT:
+            log.pack()
+
+    def _record_signals(self, log, decision, time):
+        """Keeps the signals if any of them is another array."""
+        signal = tuple(decision.signal[name] for name in self._signals)
+        if not log.signal_times or any(
+            a is not b for a, b in zip(signal, log.signal, strict=True)
+        ):
+            log.signal = signal
+            log.signal_times.append(time)
+            log.signals.append(signal)
+
+    def _record_decision(self, log, decision, time):
+        """Keeps what was decided, if that is new."""
+        states = find_link_states(decision)
+        decided = (states, decision.target, decision.link)
+        # Near a threshold the reason has other figures at every tick: one per
+        # target, and another one when the last link has its first sample.
+        why = (decision.target, log.some_missing)
+        if decided == log.decided and why == log.why:
+            return
+        if why != log.why:
+            log.reasons.append(decision.reason)
+        else:
+            log.reasons.append(log.reasons[-1])
+        log.decided, log.why = decided, why
+        log.decision_times.append(time)
+        log.link_states.append(states)
+        log.targets.append(decision.target)
+        log.deciding.append(
+            self._rings.index(decision.link) if decision.link else -1
+        )
 
     def _record_scans(self, context, log, sequence):
         """Keeps the scans that the new separation was made from."""
@@ -316,10 +381,8 @@ class SampleRecorder(Diagram):
         - velocity
         - speed_fraction
         - products_placed
-        - ring_states
-        - reason
+        - decision
         - separation
-        - dsi
         - masked_scan_base
         - masked_scan_elbow
         - masked_scan_tool
@@ -340,6 +403,7 @@ class SampleRecorder(Diagram):
         motions: How each person moves, in the truth's order.
         period: Control tick, s.
         rings: Names of the m watched links, as in the messages.
+        signals: Names of the law's signals.
         num_sensors: Number of sensors of each ring; its scans are recorded.
             Other links have none.
         metadata: Plain values (JSON) to store with the samples, such as the
@@ -350,9 +414,10 @@ class SampleRecorder(Diagram):
         self,
         *,
         truth: Truth,
+        rings: tuple[str, ...],
+        signals: tuple[str, ...] = (),
         motions: Sequence[HumanMotion] = (),
         period: float = 0.008,
-        rings: tuple[str, ...],
         num_sensors: Mapping[str, int],
         metadata: dict | None = None,
     ):
@@ -360,6 +425,7 @@ class SampleRecorder(Diagram):
         self._truth = truth
         self._motions = tuple(motions)
         self._rings = tuple(rings)
+        self._signals = tuple(signals)
         self._num_sensors = dict(num_sensors)
         self._metadata = {"rings": list(rings), "period": period}
         self._metadata.update(metadata or {})
@@ -390,6 +456,7 @@ class SampleRecorder(Diagram):
             MessageLog(
                 period=period,
                 rings=self._rings,
+                signals=self._signals,
                 scanned=tuple(self._num_sensors),
             ),
         )
@@ -425,29 +492,30 @@ class SampleRecorder(Diagram):
         def insert(name, values, kind=None):
             column[name] = narrow_type(kind or name, values)
 
-        states, reasons = self._lay_out_states(log, t)
+        decided = self._lay_out_decisions(log, t)
         insert("t", t)
         for prefix, name in (("q", "position"), ("qd", "velocity")):
             for i, values in enumerate(plain[name].T):
                 insert(f"{prefix}_{i}", values)
         insert("tcp_speed", truth[:, layout.tcp_speed])
         insert("speed_fraction", plain["speed_fraction"][:, 0])
-        # psi is the lowest of the links' states (paper, II-A).
-        insert("robot_state", states.min(axis=1))
+        insert("robot_state", decided["robot_state"])
         insert("products_placed", plain["products_placed"][:, 0])
         insert("true_distance", truth[:, layout.distance])
         per_ring = self._lay_out_messages(log, t) | {
-            "state": states,
+            "state": decided["state"],
             "true_distance": truth[:, layout.ring_distance],
             "true_azimuth": truth[:, layout.ring_azimuth],
             "true_elevation": truth[:, layout.ring_elevation],
         }
         for i, ring in enumerate(self._rings):
-            for name in RING_COLUMNS:
+            for name in get_link_columns(self._signals):
                 insert(f"{ring}_{name}", per_ring[name][:, i], name)
         for name, values in _lay_out_truth(truth, layout):
             insert(name, values)
-        column["reason"] = reasons
+        insert("target_fraction", decided["target"])
+        insert("deciding_link", decided["deciding"])
+        column["reason"] = decided["reason"]
         scan = {
             ring: self._join_scans(parts, self._num_sensors[ring])
             for ring, parts in log.packed_scans.items()
@@ -478,22 +546,40 @@ class SampleRecorder(Diagram):
 
     def _lay_out_messages(self, log, t):
         # Nothing is known before the first, as at a start in mid-air.
-        parts = [
-            pack_messages(
-                [make_empty_separation(self._rings)],
-                [make_empty_safety_index(self._rings)],
+        unknown = np.full(len(self._rings), np.nan)
+        columns = {}
+        for times, first, packed in (
+            (
+                log.times,
+                pack_separations([make_empty_separation(self._rings)]),
+                log.packed,
             ),
-            *log.packed,
-        ]
-        which = _find_in_force([-np.inf, *log.times], t)
-        return {name: values[which] for name, values in _join(parts).items()}
+            (
+                log.signal_times,
+                pack_signals([(unknown,) * len(self._signals)], self._signals),
+                log.packed_signals,
+            ),
+        ):
+            which = _find_in_force([-np.inf, *times], t)
+            joined = _join([first, *packed])
+            columns |= {name: values[which] for name, values in joined.items()}
+        return columns
 
-    def _lay_out_states(self, log, t):
-        stop = [float(RobotState.STOP)] * len(self._rings)
-        states = np.array([stop, *log.ring_states])
-        reasons = np.array(["", *log.reasons], dtype=object)
-        which = _find_in_force([-np.inf, *log.state_times], t)
-        return states[which], reasons[which]
+    def _lay_out_decisions(self, log, t):
+        empty = make_empty_decision(self._rings)
+        which = _find_in_force([-np.inf, *log.decision_times], t)
+        targets = [empty.target, *log.targets]
+        columns = {
+            "state": [
+                [int(empty.robot_state)] * len(self._rings),
+                *log.link_states,
+            ],
+            "robot_state": [float(classify_target(x)) for x in targets],
+            "target": targets,
+            "deciding": [-1, *log.deciding],
+            "reason": np.array(["", *log.reasons], dtype=object),
+        }
+        return {name: np.array(v)[which] for name, v in columns.items()}
 
     def _join_scans(self, parts, n):
         if parts:

@@ -15,7 +15,7 @@ arrived or were sent, and for a tick when its report arrived.
 """
 
 import collections
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 import dataclasses as dc
 import json
 import math
@@ -43,7 +43,9 @@ from tofssm_drake.recording.run_schema import make_schemas
 
 _MAGIC = b"\x89MCAP0\r\n"
 _FLUSH_PERIOD = 0.25
-_VERSION = 4
+_VERSION = 5
+# Before 5 a record does not describe its law, and has no target.
+_READABLE = (4, 5)
 _TOKENS = re.compile(r'"(?:[^"\\]|\\.)*"|NaN|Infinity')
 _REPLACED = {"NaN": "null", "Infinity": "1e999"}
 
@@ -127,33 +129,42 @@ class RecordedTick:
     command: SliderCommand
     """What was sent, or in a dry run would have been."""
     state: dict
-    """The monitor's results: robot_state, ring_states, reason, ..."""
+    """The monitor's results: robot_state, reason, target, signals, ..."""
     sent: float = math.nan
     """Host's time at which the command was handed over, s; NaN: it was not."""
     busy: float = 0.0
     """Processor time of the program so far, s."""
 
 
-def make_monitor_message(tick: RecordedTick) -> dict:
-    """Returns a tick's message on `/monitor`: plain values, by name."""
+def make_monitor_message(tick: RecordedTick, links: tuple[str, ...]) -> dict:
+    """Returns a tick's message on `/monitor`: plain values, by name.
+
+    Args:
+        tick: The tick.
+        links: Names of the watched links.
+    """
     report, state = tick.report, tick.state
-    links = state["links"]
+
+    def name_finite(values):
+        return {
+            link: value
+            for link, value in zip(links, values, strict=True)
+            if math.isfinite(value)
+        }
+
     message = {
         "time": tick.time,
         "robot_state": state["robot_state"],
-        "ring_state": dict(zip(links, state["ring_states"], strict=True)),
         "reason": state["reason"],
-        "distance": {
-            ring: d
-            for ring, d in zip(links, state["distance"], strict=True)
-            if math.isfinite(d)
+        "target": state["target"],
+        "deciding_link": state["deciding_link"],
+        "law": {
+            name: name_finite(values)
+            for name, values in state["signals"].items()
         },
-        "problem": dict(zip(links, state["problem"], strict=True)),
-        "sample_age": {
-            ring: tick.time - t
-            for ring, t in zip(links, state["sample_time"], strict=True)
-            if math.isfinite(t)
-        },
+        "distance": name_finite(state["distance"]),
+        "problem": dict(zip(links, state["problem"], strict=False)),
+        "sample_age": name_finite(tick.time - t for t in state["sample_time"]),
         "speed_fraction": state["speed_fraction"],
         "slider_commanded": tick.command.speed_fraction,
         "slider_phase": state["slider_phase"],
@@ -164,6 +175,10 @@ def make_monitor_message(tick: RecordedTick) -> dict:
         "missed": report.missed,
         "busy": tick.busy,
     }
+    if state["ring_states"]:
+        message["ring_state"] = dict(
+            zip(links, state["ring_states"], strict=True)
+        )
     for name, value in (
         ("q", report.position),
         ("qd", report.velocity),
@@ -188,23 +203,14 @@ class RunRecorder:
 
     Args:
         path: The file; an existing one is replaced when the run begins.
-        run: Plain values from which the same monitor can be made again; None:
-            not known yet, `add_run` follows.
-        links: Names of the watched links.
+        run: See `add_run`; None: not known yet, `add_run` follows.
 
     Raises:
         UserError: The file cannot be written.
     """
 
-    def __init__(
-        self,
-        path: pathlib.Path,
-        run: dict | None = None,
-        *,
-        links: Sequence[str],
-    ):
+    def __init__(self, path: pathlib.Path, run: dict | None = None):
         self._path = path
-        self._schemas = make_schemas(links)
         self._error: OSError | None = None
         self._begun = False
         self._is_new = not path.exists()
@@ -226,10 +232,8 @@ class RunRecorder:
             enable_data_crcs=True,
         )
         self._writer.start(profile="", library="tofssm_drake")
-        self._channels = {
-            topic: self._add_json_channel(topic)
-            for topic in (_RUN, _TICK, _MONITOR)
-        }
+        self._links: tuple[str, ...] = ()
+        self._channels = {}
         for topic, description in _BYTES.items():
             self._channels[topic] = self._writer.register_channel(
                 topic=topic,
@@ -259,9 +263,25 @@ class RunRecorder:
     def add_run(self, run: dict) -> None:
         """Writes what the monitor is made from; once, before the first tick.
 
+        Args:
+            run: Plain values from which the same monitor can be made again.
+                Of them `links`, names of the watched links, and `law`, what
+                the law says of itself (`describe_law`), also say what a tick
+                has.
+
         Raises:
             UserError: The file cannot be written.
         """
+        law = run["law"]
+        self._links = tuple(run["links"])
+        schemas = make_schemas(
+            links=self._links,
+            states=tuple(law["states"]),
+            signals=tuple(law["signals"]),
+        )
+        with self._lock:
+            for topic, schema in schemas.items():
+                self._channels[topic] = self._add_json_channel(topic, schema)
         message = {"version": _VERSION, "epoch": self._epoch, **run}
         self._add(_RUN, encode_json(message), time.monotonic())
         try:
@@ -284,7 +304,8 @@ class RunRecorder:
         values = _make_plain(tick) | {"scans": self._list_new(tick.scans)}
         time = tick.report.time
         self._add(_TICK, encode_json(values), time)
-        self._add(_MONITOR, encode_json(make_monitor_message(tick)), time)
+        message = make_monitor_message(tick, self._links)
+        self._add(_MONITOR, encode_json(message), time)
         with self._lock:
             self._format()
 
@@ -323,11 +344,11 @@ class RunRecorder:
         self._scans = scans or self._scans
         return new
 
-    def _add_json_channel(self, topic):
+    def _add_json_channel(self, topic, schema):
         schema = self._writer.register_schema(
             name=f"tofssm{topic.replace('/', '.')}",
             encoding="jsonschema",
-            data=json.dumps(self._schemas[topic]).encode(),
+            data=json.dumps(schema).encode(),
         )
         return self._writer.register_channel(
             topic=topic, message_encoding="json", schema_id=schema
@@ -430,7 +451,7 @@ class RunReader:
         if not start.startswith(b"\x89MCAP"):
             raise UserError(f"{path}: is not an MCAP file")
         self.run = next(self._read(_RUN), None)
-        if self.run is None or self.run.get("version") != _VERSION:
+        if self.run is None or self.run.get("version") not in _READABLE:
             raise UserError(
                 f"{path}: is not a record of `tofssm hardware`, or of "
                 "another version"

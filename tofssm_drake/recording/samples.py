@@ -13,7 +13,11 @@ Conventions, here and in the files:
 - `NaN` means *not known*: the `measured_distance` of a ring that has not
   delivered a scan yet, witness points and closing speeds without a person.
 - States and readings are small integers (`RobotState`, `RingHealth`,
-  `Reading` of `tofssm_drake.messages`); -1 means *none* for indices.
+  `Reading` of `tofssm_drake.messages`); -1 means *none* for indices, and for
+  the state of a link *not known*.
+- `robot_state` is what the law's target speed fraction amounts to. A link has
+  the law's own state of it. If the law has none, the link that decides has
+  the robot's, and while the robot may run at full speed, all have.
 """
 
 import dataclasses as dc
@@ -27,24 +31,21 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from tofssm_drake.errors import UserError
+from tofssm_drake.messages import LinkSignal
 
 _KEY = b"tofssm"
 
 PARTS = ".*.part"
 """Names of files while they are written; a kill may leave them."""
 
-RING_COLUMNS = (
+_BEFORE_SIGNALS = (
     "state",
     "measured_distance",
     "true_distance",
     "closing_speed",
     "link_closing_speed",
-    "d_C",
-    "d_R",
-    "dsi_raw",
-    "dsi",
-    "dsi_C",
-    "dsi_R",
+)
+_AFTER_SIGNALS = (
     "clear",
     "valid",
     "masked",
@@ -56,10 +57,16 @@ RING_COLUMNS = (
     "true_azimuth",
     "true_elevation",
 )
-"""Per-ring columns; in the table each has the ring's name in front."""
+
+# What records told of their law before they described its signals.
+_FORMER_SIGNALS = {
+    "d_C": LinkSignal(unit="m", meaning="critical distance", bound="stop"),
+    "d_R": LinkSignal(unit="m", meaning="reduced distance", bound="slow"),
+}
 
 _INTEGERS = {
     "robot_state": np.int8,
+    "deciding_link": np.int8,
     "products_placed": np.int16,
     "robot_body": np.int16,
     "person_part": np.int16,
@@ -85,7 +92,8 @@ class Samples:
             where faulted, where held as last measured; `reading` (k, n);
             `fault` (k, n), `SensorFault`, missing in older files.
         metadata: Plain values (JSON): `rings`, `robot_bodies`,
-            `person_parts`, `scenario`, `seed`, ...
+            `person_parts`, `scenario`, `seed`, ...; `law`, what a law says
+            of itself (`describe_law`).
     """
 
     column: dict[str, np.ndarray]
@@ -104,13 +112,53 @@ class Samples:
     @property
     def rings(self) -> tuple[str, ...]:
         """Names of the watched links, in column order."""
-        return tuple(self.metadata["rings"])
+        return tuple(self.metadata.get("rings") or _find_links(self.column))
+
+    @property
+    def signals(self) -> dict[str, LinkSignal]:
+        """The law's signals by name; each is a column of every link."""
+        law = self.metadata.get("law")
+        if law is None:
+            return {
+                name: signal
+                for name, signal in _FORMER_SIGNALS.items()
+                if all(f"{link}_{name}" in self for link in self.rings)
+            }
+        return {
+            name: LinkSignal(**signal)
+            for name, signal in law["signals"].items()
+        }
+
+    def find_bound(self, bound: str) -> str:
+        """Returns the signal that is such a bound, see `LinkSignal`.
+
+        Args:
+            bound: "stop" or "slow".
+
+        Returns:
+            Its name; empty if the law has none.
+        """
+        for name, signal in self.signals.items():
+            if signal.bound == bound:
+                return name
+        return ""
 
     def ring(self, name: str) -> np.ndarray:
         """Returns the column `name` of every ring, shape (rows, m)."""
         return np.stack(
             [self.column[f"{ring}_{name}"] for ring in self.rings], axis=1
         )
+
+
+def get_link_columns(signals: tuple[str, ...]) -> tuple[str, ...]:
+    """Returns the columns of each link, in order.
+
+    In the table each has the link's name in front.
+
+    Args:
+        signals: Names of the law's signals.
+    """
+    return (*_BEFORE_SIGNALS, *signals, *_AFTER_SIGNALS)
 
 
 def make_ring_metadata(
@@ -217,8 +265,8 @@ def read_samples(path: Path, kinds: tuple[str, ...] | None = None) -> Samples:
     Args:
         path: `samples.parquet`, or the folder that holds it. A missing
             `scans.parquet` beside it leaves `scan` empty.
-        kinds: Reads these columns only, of the per-ring ones each ring's, and
-            no scans; None: everything.
+        kinds: Reads these columns only, of a link's columns those of every
+            link, and no scans; None: everything.
 
     Returns:
         The samples.
@@ -243,16 +291,25 @@ def read_samples(path: Path, kinds: tuple[str, ...] | None = None) -> Samples:
     return samples
 
 
+def _find_links(names):
+    """Returns the links that columns are of, if the metadata do not say."""
+    end = "_measured_distance"
+    return [name.removesuffix(end) for name in names if name.endswith(end)]
+
+
 def _read_table(path, kinds=None):
     try:
         if kinds is None:
             return pq.read_table(path)
         file = pq.ParquetFile(path)
-        names = file.schema_arrow.names
-        ends = tuple(f"_{kind}" for kind in kinds if kind in RING_COLUMNS)
-        return file.read(
-            [n for n in names if n == "t" or n in kinds or n.endswith(ends)]
+        metadata = json.loads(
+            (file.schema_arrow.metadata or {}).get(_KEY, b"{}")
         )
+        names = file.schema_arrow.names
+        links = metadata.get("rings") or _find_links(names)
+        wanted = {"t", *kinds}
+        wanted |= {f"{link}_{kind}" for link in links for kind in kinds}
+        return file.read([name for name in names if name in wanted])
     except (OSError, pa.ArrowInvalid) as error:
         reason = str(error).splitlines()[0]
         raise UserError(f"{path}: cannot be read: {reason}") from error

@@ -129,13 +129,18 @@ def find_spans(
 def find_deciding_ring(samples: Samples) -> np.ndarray:
     """Returns the index of the ring that decides at each tick, (k,).
 
-    The ring with the lowest state; among equals the one whose measured
+    The ring with the lowest known state; among equals the one whose measured
     distance is nearest to its critical distance, or least far beyond it;
     among rings that see nothing, the one with the longest critical distance.
+    A law without critical distances counts as one of 0 m.
     """
     state = samples.ring("state").astype(float)
+    state[state < 0] = float(max(RobotState))
     measured = samples.ring("measured_distance")
-    critical = np.nan_to_num(samples.ring("d_C"), posinf=1e3)
+    stop = samples.find_bound("stop")
+    critical = 0.0
+    if stop:
+        critical = np.nan_to_num(samples.ring(stop), posinf=1e3)
     # Far beyond any range, so that what sees something comes first.
     margin = np.where(np.isfinite(measured), measured, 1e4) - critical
     return np.argmin(state * 1e6 + margin, axis=1)
@@ -244,6 +249,41 @@ def add_legend(ax, handles=None, columns=4):
         columnspacing=1.4,
         **options,
     )
+
+
+_BOUND = {"slow": ORANGE, "stop": VERMILLION}
+
+
+def _draw_bounds(ax, samples, get, narrow):
+    """Draws the distances at which the law slows and stops the robot.
+
+    Args:
+        ax: Where.
+        samples: The run.
+        get: Returns a signal's values by name, (k,).
+        narrow: See `make_timeline`.
+
+    Returns:
+        The values of that at which it slows, m, (k,); NaN: there is none.
+    """
+    slowest = np.full(len(samples), np.nan)
+    for bound, colour in _BOUND.items():
+        name = samples.find_bound(bound)
+        if name:
+            values = _finite(get(name))
+            label = f"{bound} below {_to_symbol(name)}"
+            _draw_band(ax, samples["t"], values, colour, label, narrow)
+            if bound == "slow":
+                slowest = values
+    return slowest
+
+
+def _to_symbol(name):
+    """Returns a signal's name as Matplotlib shows it: d_C with an index."""
+    symbol, underscore, index = name.partition("_")
+    if len(symbol) == 1 and underscore and "_" not in index:
+        return f"${symbol}_{{{index}}}$" if len(index) > 1 else f"${name}$"
+    return name
 
 
 def _limit_distance(*series):
@@ -438,11 +478,10 @@ def _draw_distance(ax, samples, columns, narrow, top, touched):
     t = samples["t"]
     ring = find_deciding_ring(samples)
     measured = _finite(pick(samples, "measured_distance", ring))
-    critical = _finite(pick(samples, "d_C", ring))
-    reduced = _finite(pick(samples, "d_R", ring))
     true = np.maximum(_finite(samples["true_distance"]), 0.0)
-    _draw_band(ax, t, reduced, ORANGE, "slow below $d_R$", narrow)
-    _draw_band(ax, t, critical, VERMILLION, "stop below $d_C$", narrow)
+    slowest = _draw_bounds(
+        ax, samples, lambda name: pick(samples, name, ring), narrow
+    )
     _draw_least(
         ax,
         t,
@@ -460,7 +499,7 @@ def _draw_distance(ax, samples, columns, narrow, top, touched):
         linewidth=1.1,
         label="true, surface to surface",
     )
-    top = top or _limit_distance(reduced, measured)
+    top = top or _limit_distance(slowest, measured)
     ax.set_ylim(0, top)
     ax.set_ylabel("distance (m)")
     if not columns:
@@ -733,10 +772,9 @@ def _draw_ring_distance(ax, samples, ring, columns, narrow):
     _shade(ax, samples)
     true = _finite(samples[f"{ring}_true_distance"])
     measured = _finite(samples[f"{ring}_measured_distance"])
-    reduced = _finite(samples[f"{ring}_d_R"])
-    critical = _finite(samples[f"{ring}_d_C"])
-    _draw_band(ax, t, reduced, ORANGE, "slow below $d_R$", narrow)
-    _draw_band(ax, t, critical, VERMILLION, "stop below $d_C$", narrow)
+    slowest = _draw_bounds(
+        ax, samples, lambda name: samples[f"{ring}_{name}"], narrow
+    )
     _draw_true(
         ax,
         t,
@@ -750,11 +788,49 @@ def _draw_ring_distance(ax, samples, ring, columns, narrow):
     _draw_least(
         ax, t, measured, narrow, color=BLUE, linewidth=1.6, label="measured"
     )
-    ax.set_ylim(0, _limit_distance(measured, reduced))
+    ax.set_ylim(0, _limit_distance(measured, slowest))
     ax.set_ylabel("m")
     if columns:
         add_legend(ax, columns=columns)
     ax.set_title(name_link(samples, ring), pad={0: 6, 2: 34, 4: 20}[columns])
+
+
+def find_drawn_signals(samples: Samples) -> list[str]:
+    """Returns the names of the law's signals that have a strip of their own."""
+    return [
+        name
+        for name, signal in samples.signals.items()
+        if signal.is_drawn and not signal.bound
+    ]
+
+
+def make_signals(samples: Samples, *, narrow: bool = False) -> Figure:
+    """Draws what the law says of each link: a strip for each of its signals."""
+    names = find_drawn_signals(samples)
+    t = samples["t"]
+    colours = (BLUE, PURPLE, BLACK, SKY)
+    with matplotlib.rc_context(STYLE):
+        figure = Figure(
+            figsize=(4.3 if narrow else 10.6, 0.8 + 2.2 * len(names)),
+            layout="constrained",
+        )
+        axes = figure.subplots(len(names), 1, sharex=True, squeeze=False)[:, 0]
+        for ax, name in zip(axes, names, strict=True):
+            signal = samples.signals[name]
+            _shade(ax, samples)
+            for i, link in enumerate(samples.rings):
+                values = _finite(samples[f"{link}_{name}"])
+                _draw_band(
+                    ax, t, values, colours[i % len(colours)], link, narrow
+                )
+            ax.set_ylabel(signal.unit or "1")
+            ax.set_title(
+                f"{name}: {signal.meaning}" if signal.meaning else name, pad=20
+            )
+        add_legend(axes[0], columns=2 if narrow else 4)
+        axes[-1].set_xlim(t[0], max(t[-1], t[0] + 1e-3))
+        axes[-1].set_xlabel("time (s)")
+    return figure
 
 
 def make_reading_image(

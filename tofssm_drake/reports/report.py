@@ -36,22 +36,6 @@ _MINUS = "\u2212"
 _BEHIND = "nearer to the link than the sensors sit"
 _NOUN = {"rings": "ring", "motion capture": "link"}
 
-_CONFIGURATION = {
-    "vo": (
-        "Vo",
-        "directed relative speed of robot and person, as measured",
-    ),
-    "vr": ("Vr", "directed speed of the robot alone"),
-    "sm": ("SM", "fixed distances, whatever the speeds"),
-}
-
-# Walking person at 1.6 m/s; ISO/TS 15066, 5.5.4, against the paper's d_C.
-_SHORTFALL = {
-    "vo": "0.12 to 0.22 m",
-    "vr": "0.52 to 0.62 m",
-    "sm": "0.60 to 1.11 m",
-}
-
 
 @dc.dataclass(frozen=True, kw_only=True)
 class Headline:
@@ -183,7 +167,7 @@ def _describe_slowing(summary, watcher):
         "note",
         f"{watcher[0].upper()}{watcher[1:]} slowed the robot in "
         f"{count_of(episodes, 'episode')} and {stood}. It was told to stop "
-        f"for {summary['stopped_s']:.1f} s and to run at half speed for "
+        f"for {summary['stopped_s']:.1f} s and to run slower for "
         f"{summary['reduced_s']:.1f} s in all.",
     )
 
@@ -327,6 +311,11 @@ def describe_cause(
     else:
         late = "the robot was not told to stop before the contact"
     where = _describe_gap_place(approach)
+    if approach.cause == "unjudged":
+        return (
+            "Why: not judged, because this law has no distance at which it "
+            "stops the robot."
+        )
     if approach.cause == "gap":
         return f"Why: {late}, because of {where}."
     if approach.cause == "unseen":
@@ -535,11 +524,14 @@ def _make_figures(samples, events, contacts, is_known):
     distances = (
         "measured and true distance" if is_known else "measured distance"
     )
+    thresholds = ""
+    if samples.find_bound("stop") or samples.find_bound("slow"):
+        thresholds = " with the thresholds"
     result = {
         "timeline": make_picture(
             figures.make_timeline,
-            f"Robot state, tool speed with speed fraction, and {distances} "
-            "with the thresholds, over the time of the run.",
+            f"Robot state, tool speed with speed fraction, and {distances}"
+            f"{thresholds}, over the time of the run.",
             samples,
         ),
         "plan": make_picture(
@@ -550,11 +542,17 @@ def _make_figures(samples, events, contacts, is_known):
         ),
         "rings": make_picture(
             figures.make_rings,
-            f"For each watched link: {distances} with the thresholds, and "
+            f"For each watched link: {distances}{thresholds}, and "
             "with rings every sensor's readings over time.",
             samples,
         ),
     }
+    if figures.find_drawn_signals(samples):
+        result["signals"] = make_picture(
+            figures.make_signals,
+            "What the law says of each watched link, over time.",
+            samples,
+        )
     closeup = figures.find_closeup(events, contacts)
     if closeup is not None:
         time, what = closeup
@@ -575,7 +573,7 @@ def make_report(
 
     Args:
         samples: The run. Of `metadata` it reads, where present,
-            `scenario_name`, `title`, `scenario` (text), `ssm`, `human`,
+            `scenario_name`, `title`, `scenario` (text), `law`, `human`,
             `products`, `seed`, `sensors_per_ring`, `versions`, `command`,
             `plan`, `ring_geometry`, `robot_bodies`, `person_parts`,
             `interrupted`, `sensing`, `audit`, `dead_sensors`,
@@ -590,7 +588,6 @@ def make_report(
     events = find_state_events(samples)
     contacts = find_contacts(samples)
     episodes = find_episodes(samples, events)
-    ssm = str(metadata.get("ssm", "")).lower()
     has_samples = len(samples) > 1
     is_known = summary.get("person_is_known", True)
     return render_page(
@@ -617,8 +614,7 @@ def make_report(
         audit=make_audit_section(samples) if is_known else None,
         person_is_known=is_known,
         headlines=_make_headlines(summary, products),
-        configuration=_CONFIGURATION.get(ssm),
-        shortfall=_SHORTFALL.get(ssm),
+        law=_describe_law(samples),
         figures=(
             _make_figures(samples, events, contacts, is_known)
             if has_samples
@@ -635,6 +631,20 @@ def make_report(
         link_faults=find_faulted_links(samples),
         facts=_make_facts(samples, summary),
     )
+
+
+def _describe_law(samples):
+    """Returns what the page says about the law."""
+    law = samples.metadata.get("law", {})
+    return {
+        "title": law.get("title", ""),
+        "about": law.get("about", ""),
+        "guide": law.get("guide", []),
+        "limits": law.get("limits", ""),
+        "has_thresholds": bool(samples.find_bound("stop"))
+        or bool(samples.find_bound("slow")),
+        "stops": bool(samples.find_bound("stop")),
+    }
 
 
 def make_audit_section(samples: Samples) -> dict | None:

@@ -1,11 +1,12 @@
 """The robot state in Meshcat, at a glance."""
 
 import numpy as np
+from pydrake.common.value import Value
 from pydrake.geometry import Box, Cylinder, Meshcat, Rgba
 from pydrake.math import RigidTransform, RollPitchYaw
 from pydrake.systems.framework import LeafSystem
 
-from tofssm_drake.messages import RobotState
+from tofssm_drake.messages import RobotState, make_empty_decision
 from tofssm_drake.visualization import palette
 from tofssm_drake.visualization.animated import AnimatedProperty
 from tofssm_drake.visualization.sign import BOARD, make_sign
@@ -33,13 +34,16 @@ def make_annulus_mesh(
 
 
 class StateLight(LeafSystem):
-    """Shows the robot state as stack light, word and ring on the floor.
+    """Shows a law's decision as stack light, word and ring on the floor.
 
     .. pydrake_system::
 
         name: StateLight
         input_ports:
-        - robot_state
+        - decision
+
+    `decision` is a `SpeedDecision`; what its target amounts to is shown: stop,
+    reduced or normal (`RobotState`).
 
     No part of it relies on colour alone: the stack light has stop on top and
     normal at the bottom, the sign spells the state, and the slower the
@@ -47,6 +51,7 @@ class StateLight(LeafSystem):
 
     Args:
         meshcat: Where to draw.
+        links: Names of the m watched links.
         p_WF: Foot of the stack light in world, m.
         p_WR: Centre of the ring on the floor, m.
         height: Of the stack light, m.
@@ -60,6 +65,7 @@ class StateLight(LeafSystem):
         self,
         *,
         meshcat: Meshcat,
+        links: tuple[str, ...],
         p_WF=(-0.75, 0.0, 0.0),
         p_WR=(0.0, 0.0, 0.004),
         height: float = 1.9,
@@ -90,7 +96,9 @@ class StateLight(LeafSystem):
             )
             for state in RobotState
         }
-        self._robot_state_port = self.DeclareVectorInputPort("robot_state", 1)
+        self._decision = self.DeclareAbstractInputPort(
+            "decision", Value(make_empty_decision(links))
+        )
         self.DeclarePeriodicPublishEvent(period, 0.0, self._publish)
         self.DeclareForcedPublishEvent(self._publish)
 
@@ -120,6 +128,6 @@ class StateLight(LeafSystem):
             draw(f"{state.name}/word", word, rgba, [0.022, 0, board])
 
     def _publish(self, context):
-        state = int(self._robot_state_port.Eval(context)[0])
+        state = self._decision.Eval(context).robot_state
         for look, shown in self._shown.items():
             shown.set(look == state, context.get_time(), self._period)
