@@ -9,7 +9,7 @@ from pydrake.systems.framework import Diagram, DiagramBuilder
 from pydrake.systems.primitives import Multiplexer
 
 from tofssm_drake.arms.cell_plant import make_twin_plant
-from tofssm_drake.arms.kinematics import RingKinematics
+from tofssm_drake.arms.kinematics import ArmKinematics
 from tofssm_drake.diagrams.scenario import (
     Scenario,
     find_dead_sensors,
@@ -133,7 +133,7 @@ def _add_sensing(builder, scenario, person_radii):
         products=scenario.program.products,
         meshes=scenario.robot_meshes,
     )
-    kinematics = RingKinematics.from_plant(plant)
+    kinematics = ArmKinematics.from_plant(plant)
     if scenario.sensing == "ideal":
         return _add_ideal(builder, scenario, kinematics, person_radii), []
     if scenario.sensing == "lidar":
@@ -298,7 +298,7 @@ def make_scenario_self_hits(
     scenario: Scenario,
     scene_graph: SceneGraph,
     plant: MultibodyPlant,
-    kinematics: RingKinematics,
+    kinematics: ArmKinematics,
 ) -> SelfHitModel:
     """Makes the model of what a scenario's rings should see of the robot.
 
@@ -346,7 +346,7 @@ def tell_self_hit_coverage(scenario: Scenario) -> list[str]:
         products=scenario.program.products,
         meshes=scenario.robot_meshes,
     )
-    kinematics = RingKinematics.from_plant(plant)
+    kinematics = ArmKinematics.from_plant(plant)
     model = make_scenario_self_hits(scenario, scene_graph, plant, kinematics)
     path = make_program_path(scenario.program, kinematics)
     return tell_coverage(model, calc_verifiable_share(model, path))

@@ -20,7 +20,7 @@ from pydrake.systems.primitives import (
 from pydrake.systems.rendering import MultibodyPositionToGeometryPose
 
 from tofssm_drake.arms.cell_plant import make_cell_plant
-from tofssm_drake.arms.kinematics import RingKinematics
+from tofssm_drake.arms.kinematics import ArmKinematics
 from tofssm_drake.diagrams.scenario import NoHuman, Scenario
 from tofssm_drake.messages import RINGS
 from tofssm_drake.people.avatar import HumanAvatar
@@ -174,7 +174,7 @@ def _show_robot_and_products(builder, layout, scene_graph, plant, report):
     carrier = builder.AddNamedSystem(
         "products",
         ProductCarrier(
-            layout=layout, kinematics=RingKinematics.from_plant(plant)
+            layout=layout, kinematics=ArmKinematics.from_plant(plant)
         ),
     )
     for name, port in report.items():
@@ -282,7 +282,7 @@ def _add_lidar(builder, scenario, scene_graph, plant, caster):
                 caster=caster,
                 plant=plant,
                 inspector=scene_graph.model_inspector(),
-                kinematics=RingKinematics.from_plant(plant),
+                kinematics=ArmKinematics.from_plant(plant),
             ),
         ),
     )

@@ -12,7 +12,7 @@ from pydrake.geometry import (
 )
 from pydrake.systems.framework import Context, Diagram, DiagramBuilder
 
-from tofssm_drake.arms.kinematics import RingKinematics
+from tofssm_drake.arms.kinematics import ArmKinematics
 from tofssm_drake.diagrams.monitor import make_monitor
 from tofssm_drake.diagrams.run_metadata import make_run_metadata
 from tofssm_drake.diagrams.scenario import Scenario, get_links
@@ -132,7 +132,7 @@ def _make_truth(scenario, station):
         config = scenario.lidar_separation
         options = {
             "kinematics": make_lidar_kinematics(
-                scenario.lidar, RingKinematics.from_plant(station.plant)
+                scenario.lidar, ArmKinematics.from_plant(station.plant)
             ),
             # What the distance rule subtracts, so that the two are comparable.
             "link_offset": config.workspace_radius - config.threshold_offset,

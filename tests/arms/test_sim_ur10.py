@@ -7,7 +7,7 @@ from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import ConstantVectorSource, LogVectorOutput
 
 from tofssm_drake.arms.cell_plant import make_cell_plant
-from tofssm_drake.arms.kinematics import RingKinematics
+from tofssm_drake.arms.kinematics import ArmKinematics
 import tofssm_drake.arms.sim_ur10 as mut
 from tofssm_drake.errors import UserError
 from tofssm_drake.tasks.program import PickAndPlaceProgram, ProgramConfig
@@ -17,7 +17,7 @@ LIMIT = np.array([330, 330, 150, 56, 56, 56])
 
 @functools.cache
 def make_kinematics():
-    return RingKinematics.from_plant(make_cell_plant())
+    return ArmKinematics.from_plant(make_cell_plant())
 
 
 @functools.cache

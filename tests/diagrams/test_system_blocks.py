@@ -11,7 +11,7 @@ from pydrake.systems.framework import Diagram, LeafSystem
 import yaml
 
 import tofssm_drake
-from tofssm_drake.arms.kinematics import RingKinematics
+from tofssm_drake.arms.kinematics import ArmKinematics
 import tofssm_drake.arms.sim_ur10 as sim_ur10
 from tofssm_drake.diagrams.hardware_station import make_hardware_station
 from tofssm_drake.diagrams.held_connections import HeldRobot
@@ -121,7 +121,7 @@ class TestSystemBlocks(unittest.TestCase):
         caster = RayCaster(station.scene_graph.model_inspector())
         bundle = make_lidar_bundle(config=lidar_config, caster=caster)
         lidar = Lidar2d(config=lidar_config, caster=caster, bundle=bundle)
-        kinematics = RingKinematics.from_plant(station.plant)
+        kinematics = ArmKinematics.from_plant(station.plant)
         ideal_separation = IdealSeparation(
             config=IdealSeparationConfig(),
             kinematics=kinematics,

@@ -5,7 +5,7 @@ import functools
 import threading
 
 from tofssm_drake.arms.cell_plant import make_cell_plant
-from tofssm_drake.arms.kinematics import RingKinematics
+from tofssm_drake.arms.kinematics import ArmKinematics
 from tofssm_drake.rtde.rtde_server import Faults, RtdeServer
 from tofssm_drake.rtde.simulated_ur import SimulatedUr, SimulatedUrConfig
 from tofssm_drake.tasks.program import ProgramConfig, make_program_path
@@ -13,7 +13,7 @@ from tofssm_drake.tasks.program import ProgramConfig, make_program_path
 
 @functools.cache
 def make_kinematics():
-    return RingKinematics.from_plant(make_cell_plant())
+    return ArmKinematics.from_plant(make_cell_plant())
 
 
 @functools.cache

@@ -292,6 +292,7 @@ class TestRobotCapsules(unittest.TestCase):
         make_parser(plant).AddModelsFromUrl(
             "package://tofssm_drake_models/ur10/ur10_gripper.dmd.yaml"
         )
+        plant.WeldFrames(plant.world_frame(), plant.GetFrameByName("base"))
         plant.RegisterCollisionGeometry(
             plant.GetBodyByName("forearm_link"),
             RigidTransform(),

@@ -8,7 +8,7 @@ from pydrake.math import RigidTransform
 import pytest
 
 from tofssm_drake.arms.cell_plant import make_twin_plant
-from tofssm_drake.arms.kinematics import RingKinematics
+from tofssm_drake.arms.kinematics import ArmKinematics
 from tofssm_drake.metrics.ground_truth import TruthModel
 import tofssm_drake.perception.lidar_mount as mut
 from tofssm_drake.perception.twin import TwinPoses
@@ -23,7 +23,7 @@ class Cell:
         self.config = Lidar2dConfig()
         self.scene_graph = SceneGraph()
         plant = self.plant = make_twin_plant(scene_graph=self.scene_graph)
-        self.kinematics = RingKinematics.from_plant(plant)
+        self.kinematics = ArmKinematics.from_plant(plant)
         inspector = self.scene_graph.model_inspector()
         self.caster = RayCaster(inspector)
         self.bundle = mut.make_base_lidar_bundle(

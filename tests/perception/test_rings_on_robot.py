@@ -18,7 +18,7 @@ from pydrake.systems.framework import DiagramBuilder, LeafSystem
 from pydrake.systems.rendering import MultibodyPositionToGeometryPose
 
 from tofssm_drake.arms.cell_plant import make_twin_plant
-from tofssm_drake.arms.kinematics import RingKinematics
+from tofssm_drake.arms.kinematics import ArmKinematics
 from tofssm_drake.errors import UserError
 from tofssm_drake.messages import RINGS, Reading, RingHealth
 from tofssm_drake.perception.occlusion_mask import (
@@ -67,7 +67,7 @@ class Twin:
         self.mounts = [
             mut.find_ring_mount(self.plant, inspector, ring) for ring in RINGS
         ]
-        self.kinematics = RingKinematics.from_plant(self.plant)
+        self.kinematics = ArmKinematics.from_plant(self.plant)
         config = ProgramConfig()
         self.layout = ProductLayout.from_config(config)
         self.path = make_program_path(config, self.kinematics)

@@ -10,7 +10,7 @@ from pydrake.geometry import SceneGraph
 from pydrake.systems.analysis import Simulator
 
 from tofssm_drake.arms.cell_plant import make_twin_plant
-from tofssm_drake.arms.kinematics import RingKinematics
+from tofssm_drake.arms.kinematics import ArmKinematics
 from tofssm_drake.diagrams.monitor import (
     make_scenario_self_hits,
     tell_self_hit_coverage,
@@ -118,7 +118,7 @@ def make_model_and_path():
     scenario = Scenario()
     scene_graph = SceneGraph()
     plant = make_twin_plant(scene_graph=scene_graph)
-    kinematics = RingKinematics.from_plant(plant)
+    kinematics = ArmKinematics.from_plant(plant)
     model = make_scenario_self_hits(scenario, scene_graph, plant, kinematics)
     return model, make_program_path(scenario.program, kinematics)
 

@@ -7,7 +7,7 @@ from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.rendering import MultibodyPositionToGeometryPose
 
 from tofssm_drake.arms.cell_plant import make_twin_plant
-from tofssm_drake.arms.kinematics import RingKinematics
+from tofssm_drake.arms.kinematics import ArmKinematics
 from tofssm_drake.errors import UserError
 from tofssm_drake.messages import RINGS
 import tofssm_drake.perception.twin as mut
@@ -30,7 +30,7 @@ class TestTwin(unittest.TestCase):
     @classmethod
     def setUpClass(cls):
         cls.plant, cls.scene_graph = make_twin()
-        cls.kinematics = RingKinematics.from_plant(cls.plant)
+        cls.kinematics = ArmKinematics.from_plant(cls.plant)
         cls.layout = ProductLayout.from_config(ProgramConfig())
 
     def test_poses_against_plant(self):
@@ -114,7 +114,7 @@ class TestSensorsAreOutside(unittest.TestCase):
         builder.ExportInput(poses.get_input_port(), "positions")
         diagram = builder.Build()
         context = diagram.CreateDefaultContext()
-        kinematics = RingKinematics.from_plant(plant)
+        kinematics = ArmKinematics.from_plant(plant)
         layout = ProductLayout.from_config(ProgramConfig())
         path = make_program_path(ProgramConfig(), kinematics)
         frames = [

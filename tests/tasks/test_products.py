@@ -6,14 +6,14 @@ from pydrake.common.eigen_geometry import Quaternion
 from pydrake.math import RotationMatrix
 
 from tofssm_drake.arms.cell_plant import make_cell_plant
-from tofssm_drake.arms.kinematics import RingKinematics
+from tofssm_drake.arms.kinematics import ArmKinematics
 import tofssm_drake.tasks.products as mut
 from tofssm_drake.tasks.program import ProgramConfig, make_program_path
 
 
 @functools.cache
 def make_kinematics():
-    return RingKinematics.from_plant(make_cell_plant())
+    return ArmKinematics.from_plant(make_cell_plant())
 
 
 @functools.cache

@@ -8,7 +8,7 @@ from pydrake.geometry import GeometryId, Role, SceneGraphInspector
 from pydrake.math import RigidTransform
 from pydrake.multibody.plant import MultibodyPlant
 
-from tofssm_drake.arms.kinematics import RingKinematics
+from tofssm_drake.arms.kinematics import ArmKinematics
 from tofssm_drake.errors import require
 from tofssm_drake.perception.lidar_separation import LIDAR
 from tofssm_drake.perception.twin import TwinPoses
@@ -20,7 +20,7 @@ _HOUSING = ("pedestal",)
 
 
 def calc_lidar_pose(
-    config: Lidar2dConfig, kinematics: RingKinematics
+    config: Lidar2dConfig, kinematics: ArmKinematics
 ) -> RigidTransform:
     """Returns X_WS of the scanner: on the base's axis, above the floor.
 
@@ -38,7 +38,7 @@ def make_base_lidar_bundle(
     caster: RayCaster,
     plant: MultibodyPlant,
     inspector: SceneGraphInspector,
-    kinematics: RingKinematics,
+    kinematics: ArmKinematics,
 ) -> RayBundles:
     """Makes the rays of the lidar at the robot's base.
 
@@ -98,8 +98,8 @@ def scan_background(
 
 
 def make_lidar_kinematics(
-    config: Lidar2dConfig, kinematics: RingKinematics
-) -> RingKinematics:
+    config: Lidar2dConfig, kinematics: ArmKinematics
+) -> ArmKinematics:
     """Returns kinematics with one link, fixed where the lidar is.
 
     So the true distance of that link is from the lidar to the person.
