@@ -5,6 +5,7 @@ from pydrake.math import RigidTransform, RollPitchYaw
 from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import BodyIndex, FixedOffsetFrame
+from robots import CHAINS, make_urdf
 
 import tofssm_drake.arms.kinematics as mut
 from tofssm_drake.errors import UserError
@@ -79,58 +80,6 @@ class TestArmKinematics(unittest.TestCase):
             mut.ArmKinematics.from_plant(plant, rings=(), tcp="flange")
         with self.assertRaisesRegex(UserError, "no joint moves frame box"):
             mut.ArmKinematics.from_plant(plant, rings=(), tcp="box")
-
-
-def make_body(name, mass=1.0):
-    return (
-        f'<link name="{name}"><inertial><mass value="{mass}"/>'
-        '<inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/>'
-        "</inertial></link>"
-    )
-
-
-def make_joint(name, kind, parent, child, xyz, rpy, axis="0 0 1"):
-    limits = "" if kind == "continuous" else 'lower="-2" upper="1.5" '
-    return (
-        f'<joint name="{name}" type="{kind}"><parent link="{parent}"/>'
-        f'<child link="{child}"/><origin xyz="{xyz}" rpy="{rpy}"/>'
-        f'<axis xyz="{axis}"/><limit {limits}velocity="2"/>'
-        "</joint>"
-    )
-
-
-def make_urdf(joints, *, tool):
-    """Returns a URDF whose joints are the rows (kind, xyz, rpy, axis)."""
-    text = '<robot name="arm">' + make_body("link_0")
-    for i, (kind, xyz, rpy, axis) in enumerate(joints, start=1):
-        text += make_body(f"link_{i}")
-        text += make_joint(
-            f"joint_{i}", kind, f"link_{i - 1}", f"link_{i}", xyz, rpy, axis
-        )
-    return text + f'<frame name="tcp" link="{tool}" xyz="0.1 0.2 0.3"/></robot>'
-
-
-# Axes along and across the links' own, and tilted; welds in between.
-CHAINS = {
-    "one joint": [("revolute", "0 0 1", "0.1 0 0", "0 1 0")],
-    "tilted": [
-        ("prismatic", "0.1 0 0.2", "0.3 -0.2 0.1", "0.6 0 0.8"),
-        ("fixed", "0 0.3 0", "0 0.4 0", "0 0 1"),
-        ("revolute", "0 0 0.3", "1 2 -0.5", "-0.48 0.6 -0.64"),
-        ("prismatic", "0.1 -0.2 0", "-0.3 0 0.7", "0 0 -1"),
-        ("continuous", "0.2 0 0.1", "0 0.2 0", "0 1 0"),
-        ("fixed", "0 0 0.1", "0 0 1", "0 0 1"),
-    ],
-    "seven joints": [
-        ("revolute", "0 0 0.3", "0 0 0", "0 0 1"),
-        ("revolute", "0 0 0", "-1.57 0 0", "0 0 1"),
-        ("revolute", "0 -0.3 0", "1.57 0 0", "0 0 1"),
-        ("revolute", "0.1 0 0", "1.57 0 0", "0 0 1"),
-        ("revolute", "-0.1 0.4 0", "-1.57 0 0", "0 0 1"),
-        ("revolute", "0 0 0", "1.57 0 0", "0 0 1"),
-        ("revolute", "0.1 0 0", "1.57 0 0", "0 0 1"),
-    ],
-}
 
 
 class TestAnyChain(unittest.TestCase):

@@ -4,11 +4,11 @@
 what is seen, without one for dynamics.
 """
 
-import functools
-
 from pydrake.geometry import SceneGraph
 from pydrake.multibody.plant import MultibodyPlant
 
+from tofssm_drake.arms.arm import ArmModel
+from tofssm_drake.arms.ur_arm import UrArm
 from tofssm_drake.errors import require
 import tofssm_drake.models as models
 from tofssm_drake.sensors.ring_looks import add_ring_looks
@@ -45,6 +45,7 @@ def make_cell_plant(
     time_step: float = 0.0,
     cell: bool = True,
     meshes: bool = False,
+    arm: ArmModel | None = None,
 ) -> MultibodyPlant:
     """Makes the plant of robot, gripper, rings, cell and products.
 
@@ -55,11 +56,11 @@ def make_cell_plant(
         scene_graph: Where to register the geometry; without it the plant has
             none, and steps spend no time on contact.
         time_step: Of the discrete plant, s; 0 is continuous.
-        cell: Whether to load floor, pedestal, tables and box. Without them
-            the base is welded to the same place.
+        cell: Whether to load floor, pedestal, tables and box.
         meshes: Whether the robot's visible geometry is Universal Robots' own
             meshes instead of primitive shapes; needs the SceneGraph and the
-            optional extra `meshes`.
+            optional extra `meshes`. Of a UR10 only.
+        arm: The arm with its tool; by default the UR10 with its gripper.
 
     Returns:
         A finalized plant.
@@ -70,16 +71,11 @@ def make_cell_plant(
     plant = MultibodyPlant(time_step)
     if scene_graph is not None:
         plant.RegisterAsSourceForSceneGraph(scene_graph)
+    arm = arm or UrArm()
     parser = models.make_parser(plant)
     if cell:
-        parser.AddModelsFromUrl(_URL + "workcell/workcell.dmd.yaml")
-    else:
-        parser.AddModelsFromUrl(_URL + "ur10/ur10_gripper.dmd.yaml")
-        plant.WeldFrames(
-            plant.world_frame(),
-            plant.GetFrameByName("base"),
-            _read_base_pose(),
-        )
+        parser.AddModelsFromUrl(_URL + "workcell/cell.dmd.yaml")
+    arm.add_to_plant(plant)
     if sensors_per_ring:
         require_ring_model(sensors_per_ring)
         parser.AddModelsFromUrl(
@@ -93,6 +89,8 @@ def make_cell_plant(
         # reads what would be sampled (contact results).
         plant.SetUseSampledOutputPorts(False)
     plant.Finalize()
+    if scene_graph is not None:
+        arm.add_geometry(plant, scene_graph)
     if sensors_per_ring and scene_graph is not None:
         add_ring_looks(plant, scene_graph)
     if meshes:
@@ -105,32 +103,22 @@ def make_cell_plant(
     return plant
 
 
-@functools.cache
-def _read_base_pose():
-    """Returns where the cell's model puts the robot's base."""
-    plant = MultibodyPlant(0.0)
-    parser = models.make_parser(plant)
-    parser.AddModelsFromUrl(_URL + "workcell/cell.dmd.yaml")
-    plant.Finalize()
-    return plant.GetFrameByName("robot_base").CalcPoseInWorld(
-        plant.CreateDefaultContext()
-    )
-
-
 def make_twin_plant(
     *,
     scene_graph: SceneGraph,
     sensors_per_ring: int = 8,
     products: int = 10,
     meshes: bool = False,
+    arm: ArmModel | None = None,
 ) -> MultibodyPlant:
     """Makes the plant of robot, cell and products.
 
-    Its positions are [q (6), product_0 (7), product_1 (7), ...].
+    Its positions are [q (n), product_0 (7), product_1 (7), ...].
     """
     return make_cell_plant(
         sensors_per_ring=sensors_per_ring,
         products=products,
         scene_graph=scene_graph,
         meshes=meshes,
+        arm=arm,
     )

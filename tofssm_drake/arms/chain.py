@@ -98,6 +98,25 @@ def find_chain(plant: MultibodyPlant, tcp: str = "tcp") -> ArmChain:
     )
 
 
+def list_arm_bodies(plant: MultibodyPlant, tcp: str = "tcp") -> list[RigidBody]:
+    """Returns the bodies of an arm and its tool, in the plant's order.
+
+    Of what is welded to the base, those of its own model.
+
+    Args:
+        plant: Finalized.
+        tcp: Name of the tool's frame.
+    """
+    links = find_chain(plant, tcp)
+    base = links.bodies[0].model_instance()
+    return [
+        body
+        for body in map(plant.get_body, sorted(links.link_of, key=int))
+        if body.index() != plant.world_body().index()
+        and (links.link_of[body.index()] or body.model_instance() == base)
+    ]
+
+
 def _find_joints(plant, tcp):
     """Returns the joints that move between world and tool, in that order."""
     joint_of = {

@@ -7,10 +7,9 @@ from typing import NamedTuple
 import numpy as np
 from pydrake.geometry import Capsule, Role, SceneGraphInspector, Sphere
 from pydrake.multibody.plant import MultibodyPlant
-from pydrake.multibody.tree import BodyIndex
 from pydrake.systems.framework import LeafSystem
 
-from tofssm_drake.arms.chain import find_chain
+from tofssm_drake.arms.chain import find_chain, list_arm_bodies
 from tofssm_drake.arms.kinematics import (
     ArmKinematics,
     Chain,
@@ -62,7 +61,8 @@ class RobotCapsules:
         """
         links = find_chain(plant, tcp)
         link, p, q, radius, bodies, names = [], [], [], [], [], []
-        for body, i in _list_robot_bodies(plant, links):
+        for body in list_arm_bodies(plant, tcp):
+            i = links.link_of[body.index()]
             ids = _find_shapes(plant, inspector, body)
             if not ids:
                 continue
@@ -85,17 +85,6 @@ class RobotCapsules:
             body=np.array(bodies),
             body_names=names,
         )
-
-
-def _list_robot_bodies(plant, links):
-    """Yields each body of the robot and its link, in the plant's order."""
-    base = links.bodies[0].model_instance()
-    for index in range(1, plant.num_bodies()):
-        body = plant.get_body(BodyIndex(index))
-        link = links.link_of.get(body.index())
-        # The base may be welded to a whole cell.
-        if link or (link == 0 and body.model_instance() == base):
-            yield body, link
 
 
 def _find_shapes(plant, inspector, body):
