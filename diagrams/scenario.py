@@ -10,7 +10,7 @@ from pydrake.common.yaml import yaml_dump_typed, yaml_load_typed
 import yaml
 
 from tofssm_drake.arms.cell_plant import require_ring_model
-from tofssm_drake.arms.sim_ur10 import SimUr10Config
+from tofssm_drake.arms.sim_arm import SimArmConfig
 from tofssm_drake.diagrams.yaml_check import (
     check_yaml,
     get_children,
@@ -68,7 +68,7 @@ class Scenario:
     robot_meshes: bool = False
 
     # The simulated arm and its controller.
-    robot: SimUr10Config = dc.field(default_factory=SimUr10Config)
+    robot: SimArmConfig = dc.field(default_factory=SimArmConfig)
 
     # The task: where the products are and how fast the arm moves.
     program: ProgramConfig = dc.field(default_factory=ProgramConfig)

@@ -7,7 +7,8 @@ from pydrake.multibody.plant import MultibodyPlant
 from pydrake.systems.framework import Diagram, DiagramBuilder
 
 from tofssm_drake.arms.kinematics import ArmKinematics
-from tofssm_drake.arms.sim_ur10 import make_sim_ur10
+from tofssm_drake.arms.sim_arm import make_sim_arm
+from tofssm_drake.arms.ur_arm import UrArm
 from tofssm_drake.diagrams.ring_world import add_ring_world, make_scene
 from tofssm_drake.diagrams.scenario import Scenario
 from tofssm_drake.people.avatar import HumanAvatar
@@ -74,8 +75,9 @@ def make_station(scenario: Scenario) -> Station:
             period=scenario.control_period,
         ),
     )
-    robot, _ = make_sim_ur10(
+    robot, _ = make_sim_arm(
         config=scenario.robot,
+        arm=UrArm(),
         initial_position=program.path.calc_motion(0.0)[0],
     )
     builder.AddSystem(robot)

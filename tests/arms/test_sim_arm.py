@@ -1,14 +1,24 @@
 import functools
+from pathlib import Path
+import tempfile
 import unittest
 
 import numpy as np
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
-from pydrake.systems.primitives import ConstantVectorSource, LogVectorOutput
+from pydrake.systems.primitives import (
+    ConstantVectorSource,
+    LogVectorOutput,
+    TrajectorySource,
+)
+from pydrake.trajectories import PiecewisePolynomial
+from robots import CHAINS, make_panda, make_urdf
 
+from tofssm_drake.arms.arm import Arm
 from tofssm_drake.arms.cell_plant import make_cell_plant
 from tofssm_drake.arms.kinematics import ArmKinematics
-import tofssm_drake.arms.sim_ur10 as mut
+import tofssm_drake.arms.sim_arm as mut
+from tofssm_drake.arms.ur_arm import UrArm
 from tofssm_drake.errors import UserError
 from tofssm_drake.tasks.program import PickAndPlaceProgram, ProgramConfig
 
@@ -22,8 +32,8 @@ def make_kinematics():
 
 @functools.cache
 def make_robot():
-    return mut.make_sim_ur10(
-        config=mut.SimUr10Config(), initial_position=np.zeros(6)
+    return mut.make_sim_arm(
+        config=mut.SimArmConfig(), arm=UrArm(), initial_position=np.zeros(6)
     )[0]
 
 
@@ -35,8 +45,9 @@ def run(duration, *, time_step=0.004, fraction=1.0):
             config=ProgramConfig(), kinematics=make_kinematics()
         )
     )
-    robot, _ = mut.make_sim_ur10(
-        config=mut.SimUr10Config(time_step=time_step),
+    robot, _ = mut.make_sim_arm(
+        config=mut.SimArmConfig(time_step=time_step),
+        arm=UrArm(),
         initial_position=program.path.calc_motion(0.0)[0],
     )
     builder.AddSystem(robot)
@@ -142,4 +153,86 @@ class TestSimUr10(unittest.TestCase):
             ({"stiffness": 1000.0}, "stiffness"),
         ):
             with self.assertRaisesRegex(UserError, rf"robot\.{name}: "):
-                mut.SimUr10Config(**settings).check("robot")
+                mut.SimArmConfig(**settings).check("robot")
+
+
+class TestAnyArm(unittest.TestCase):
+    """A seven-joint arm, and one whose motors have no limit."""
+
+    def follow(self, arm, start, goal):
+        """Returns the error at the end of a smooth motion, and torques."""
+        builder = DiagramBuilder()
+        robot, _ = mut.make_sim_arm(
+            config=mut.SimArmConfig(), arm=arm, initial_position=start
+        )
+        builder.AddSystem(robot)
+        # Speed and acceleration are zero at both ends.
+        path = PiecewisePolynomial.CubicWithContinuousSecondDerivatives(
+            [0.0, 0.5, 1.0],
+            np.column_stack([start, 0.5 * (start + goal), goal]),
+            np.zeros(len(start)),
+            np.zeros(len(start)),
+        )
+        source = builder.AddSystem(
+            TrajectorySource(path, 2, zero_derivatives_beyond_limits=True)
+        )
+        builder.Connect(
+            source.get_output_port(), robot.GetInputPort("motion_commanded")
+        )
+        log = LogVectorOutput(
+            robot.GetOutputPort("torque_commanded"), builder, 0.008
+        )
+        simulator = Simulator(builder.Build())
+        simulator.AdvanceTo(1.2)
+        context = robot.GetMyContextFromRoot(simulator.get_context())
+        q = robot.GetOutputPort("position_measured").Eval(context)
+        torque = log.FindLog(simulator.get_context()).data()
+        return np.abs(q - goal).max(), np.abs(torque).max(axis=1)
+
+    def test_seven_joints(self):
+        arm = make_panda()
+        start = np.array(arm.initial_position)
+        goal = start + np.array([0.3, 0.2, -0.2, 0.3, 0.1, -0.2, 0.3])
+        error, torque = self.follow(arm, start, goal)
+        self.assertLess(error, 1e-3)
+        self.assertTrue(np.all(torque <= arm.read_limits().effort))
+        self.assertGreater(torque[1], 5.0)
+
+    def test_without_limit(self):
+        urdf = make_urdf(CHAINS["tilted"], tool="link_6")
+        urdf = urdf.replace(' effort="50"', "")
+        with tempfile.TemporaryDirectory() as folder:
+            path = Path(folder) / "arm.urdf"
+            path.write_text(urdf)
+            arm = Arm(file=str(path), tool="", joint_acceleration=[5.0] * 4)
+            arm.check("robot")
+            self.assertTrue(np.isinf(arm.read_limits().effort).all())
+            error, torque = self.follow(
+                arm, np.zeros(4), np.array([0.2, -0.3, 0.1, 0.4])
+            )
+        self.assertLess(error, 1e-3)
+        self.assertTrue(np.isfinite(torque).all())
+
+    def test_motors_in_another_order(self):
+        """Torques go to the joints, however the description lists motors."""
+        urdf = make_urdf(CHAINS["seven joints"], tool="link_7")
+        motors = "".join(
+            f"<transmission name='t{i}'><type>transmission_interface/"
+            f"SimpleTransmission</type><joint name='joint_{i}'/>"
+            f"<actuator name='m{i}'/></transmission>"
+            for i in (3, 1, 2, 7, 5, 6, 4)
+        )
+        with tempfile.TemporaryDirectory() as folder:
+            path = Path(folder) / "arm.urdf"
+            path.write_text(urdf.replace("</robot>", motors + "</robot>"))
+            arm = Arm(
+                file=str(path),
+                tool="",
+                joint_acceleration=[5.0] * 7,
+                joint_effort=[500.0, 501.0, 502.0, 503.0, 504.0, 505.0, 506.0],
+            )
+            np.testing.assert_array_equal(
+                arm.read_limits().effort, arm.joint_effort
+            )
+            error, _ = self.follow(arm, np.zeros(7), np.full(7, 0.2))
+        self.assertLess(error, 1e-3)
