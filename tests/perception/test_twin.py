@@ -3,11 +3,14 @@ import unittest
 
 import numpy as np
 from pydrake.geometry import Role, SceneGraph
+from pydrake.multibody.tree import BodyIndex
 from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.rendering import MultibodyPositionToGeometryPose
+from robots import make_panda
 
 from tofssm_drake.arms.cell_plant import make_twin_plant
 from tofssm_drake.arms.kinematics import ArmKinematics
+from tofssm_drake.arms.ur_arm import UrArm
 from tofssm_drake.errors import UserError
 from tofssm_drake.messages import RINGS
 import tofssm_drake.perception.twin as mut
@@ -87,6 +90,40 @@ class TestTwin(unittest.TestCase):
                 frame.CalcPoseInWorld(context).GetAsMatrix34(),
                 atol=1e-9,
             )
+
+    def test_other_arms(self):
+        """Checks every frame of a UR5e and of a seven-joint arm."""
+        for arm in (UrArm(model="ur5e"), make_panda()):
+            scene_graph = SceneGraph()
+            plant = make_twin_plant(
+                scene_graph=scene_graph, sensors_per_ring=0, arm=arm
+            )
+            frames = [
+                plant.get_body(BodyIndex(i)).body_frame()
+                for i in range(plant.num_bodies())
+            ]
+            dut = mut.TwinPoses.from_plant(
+                plant, layout=self.layout, frames=frames
+            )
+            kinematics = ArmKinematics.from_plant(plant, rings=())
+            context = plant.CreateDefaultContext()
+            q = np.linspace(-0.5, 0.4, kinematics.num_joints)
+            plant.SetPositions(
+                context,
+                _calc_positions(
+                    layout=self.layout,
+                    kinematics=kinematics,
+                    q=q,
+                    gripper_closed=1,
+                    products_placed=3,
+                ),
+            )
+            for X_WF, frame in zip(dut.calc(q, 1, 3), frames, strict=True):
+                np.testing.assert_allclose(
+                    X_WF,
+                    frame.CalcPoseInWorld(context).GetAsMatrix34(),
+                    atol=1e-9,
+                )
 
     def test_foreign_body_is_an_error(self):
         layout = ProductLayout.from_config(ProgramConfig(products=3))

@@ -9,7 +9,6 @@ from typing import ClassVar, Protocol
 
 import numpy as np
 from pydrake.geometry import SceneGraph
-from pydrake.math import RigidTransform
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import FixedOffsetFrame
 
@@ -315,8 +314,3 @@ def make_arm_plant(arm: ArmModel, *, time_step: float = 0.0) -> MultibodyPlant:
         plant.SetUseSampledOutputPorts(False)
     plant.Finalize()
     return plant
-
-
-def calc_base_pose(arm: ArmModel) -> RigidTransform:
-    """Returns the pose of an arm's base frame in the world."""
-    return arm.X_WB.make()

@@ -6,6 +6,7 @@ that `arm_shapes` adds them.
 """
 
 import dataclasses as dc
+import functools
 import importlib.metadata
 import pathlib
 import xml.etree.ElementTree as ElementTree
@@ -73,6 +74,7 @@ def make_package_map() -> PackageMap:
     return packages
 
 
+@functools.cache
 def _find_public_robots():
     """Returns the folder of example-robot-data; None: it is not installed."""
     try:

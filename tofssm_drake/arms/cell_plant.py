@@ -66,7 +66,8 @@ def make_cell_plant(
         A finalized plant.
 
     Raises:
-        UserError: If there is no ring model for that many sensors.
+        UserError: If there is no ring model for that many sensors, or no
+            meshes of this arm.
     """
     plant = MultibodyPlant(time_step)
     if scene_graph is not None:
@@ -96,6 +97,11 @@ def make_cell_plant(
     if meshes:
         if scene_graph is None:
             raise ValueError("meshes: there is no scene_graph to put them in")
+        require(
+            plant.HasModelInstanceNamed("ur10"),
+            "robot_meshes: only a UR10 has these; another arm's own shapes are "
+            "chosen by robot.sensed",
+        )
         # Its libraries are optional.
         from tofssm_drake.arms.meshes import replace_robot_shapes
 
