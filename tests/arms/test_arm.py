@@ -12,13 +12,11 @@ from pydrake.geometry import (
     SceneGraph,
     Sphere,
 )
-from pydrake.multibody.plant import MultibodyPlant
 from robots import CHAINS, PANDA, make_panda, make_urdf
 import trimesh
 
 import tofssm_drake.arms.arm as mut
-from tofssm_drake.arms.arm_file import add_arm_file, find_arm_file
-from tofssm_drake.arms.arm_shapes import calc_arm_coverage
+from tofssm_drake.arms.arm_file import find_arm_file
 from tofssm_drake.arms.cell_plant import make_cell_plant
 from tofssm_drake.arms.kinematics import ArmKinematics
 from tofssm_drake.arms.pose import Pose
@@ -254,16 +252,7 @@ class TestPanda(unittest.TestCase):
             )
 
     def test_capsules_cover_the_meshes(self):
-        scene_graph = SceneGraph()
-        plant = MultibodyPlant(0.0)
-        plant.RegisterAsSourceForSceneGraph(scene_graph)
-        self.arm.add_to_plant(plant)
-        plant.Finalize()
-        found = calc_arm_coverage(
-            plant,
-            scene_graph,
-            foreign=add_arm_file(MultibodyPlant(0.0), PANDA).foreign,
-        )
+        found = self.arm.calc_coverage()
         self.assertEqual(len(found), 11)
         for link, coverage in found.items():
             with self.subTest(link):

@@ -14,13 +14,17 @@ from pydrake.systems.primitives import (
 from pydrake.trajectories import PiecewisePolynomial
 from robots import CHAINS, make_panda, make_urdf
 
-from tofssm_drake.arms.arm import Arm
+from tofssm_drake.arms.arm import Arm, make_arm_plant
 from tofssm_drake.arms.cell_plant import make_cell_plant
 from tofssm_drake.arms.kinematics import ArmKinematics
 import tofssm_drake.arms.sim_arm as mut
 from tofssm_drake.arms.ur_arm import UrArm
 from tofssm_drake.errors import UserError
-from tofssm_drake.tasks.program import PickAndPlaceProgram, ProgramConfig
+from tofssm_drake.tasks.program import (
+    PickAndPlaceProgram,
+    ProgramConfig,
+    make_program_path,
+)
 
 LIMIT = np.array([330, 330, 150, 56, 56, 56])
 
@@ -197,6 +201,63 @@ class TestAnyArm(unittest.TestCase):
         self.assertLess(error, 1e-3)
         self.assertTrue(np.all(torque <= arm.read_limits().effort))
         self.assertGreater(torque[1], 5.0)
+
+    def test_ur5e_does_the_task(self):
+        """Pick and place nearer to the base than the UR10's, one product."""
+        arm = UrArm(model="ur5e")
+        kinematics = ArmKinematics.from_plant(make_arm_plant(arm), rings=())
+        config = ProgramConfig(
+            products=1,
+            hover_radius=0.55,
+            sweep_speed=1.0,
+            approach_speed=0.6,
+            pick_center=[0.0, -0.55, 0.7275],
+            place_center=[0.0, 0.55, 0.7335],
+        )
+        path = make_program_path(config, kinematics)
+        limits = arm.read_limits()
+        motions = np.array(
+            [path.calc_motion(s) for s in np.arange(0, path.duration, 0.02)]
+        )
+        self.assertTrue(np.all(np.abs(motions[:, 1]) <= limits.speed))
+        self.assertTrue(np.all(motions[:, 0] >= limits.lower))
+        self.assertTrue(np.all(motions[:, 0] <= limits.upper))
+        builder = DiagramBuilder()
+        program = builder.AddSystem(
+            PickAndPlaceProgram(config=config, kinematics=kinematics)
+        )
+        robot, _ = mut.make_sim_arm(
+            config=mut.SimArmConfig(),
+            arm=arm,
+            initial_position=path.calc_motion(0.0)[0],
+        )
+        builder.AddSystem(robot)
+        source = builder.AddSystem(ConstantVectorSource([1.0]))
+        builder.Connect(source.get_output_port(), program.get_input_port())
+        builder.Connect(
+            program.GetOutputPort("motion_commanded"),
+            robot.GetInputPort("motion_commanded"),
+        )
+        logs = [
+            LogVectorOutput(robot.GetOutputPort(name), builder, 0.008)
+            for name in (
+                "position_commanded",
+                "position_measured",
+                "torque_commanded",
+            )
+        ]
+        simulator = Simulator(builder.Build())
+        simulator.AdvanceTo(path.duration)
+        commanded, measured, torque = (
+            log.FindLog(simulator.get_context()).data().T for log in logs
+        )
+        for a, b in zip(commanded[::5], measured[::5], strict=True):
+            np.testing.assert_allclose(
+                kinematics.calc_tcp_pose(a)[:, 3],
+                kinematics.calc_tcp_pose(b)[:, 3],
+                atol=5e-4,
+            )
+        self.assertTrue(np.all(np.abs(torque) < limits.effort))
 
     def test_without_limit(self):
         urdf = make_urdf(CHAINS["tilted"], tool="link_6")

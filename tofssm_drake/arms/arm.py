@@ -18,7 +18,8 @@ from tofssm_drake.arms.arm_file import (
     find_arm_file,
     fix_joints,
 )
-from tofssm_drake.arms.arm_shapes import set_arm_shapes
+from tofssm_drake.arms.arm_shapes import calc_arm_coverage, set_arm_shapes
+from tofssm_drake.arms.capsules import Coverage
 from tofssm_drake.arms.chain import find_chain
 from tofssm_drake.arms.limits import ArmLimits
 from tofssm_drake.arms.pose import Pose
@@ -243,6 +244,20 @@ class Arm(ArmMount):
         """
         set_arm_shapes(
             plant, scene_graph, sensed=self.sensed, foreign=self._read_foreign()
+        )
+
+    def calc_coverage(self) -> dict[str, Coverage]:
+        """Returns how well fitted capsules cover each body's collision shapes.
+
+        By name of the body; those with capsules of their own are left out.
+        """
+        scene_graph = SceneGraph()
+        plant = MultibodyPlant(0.0)
+        plant.RegisterAsSourceForSceneGraph(scene_graph)
+        self.add_to_plant(plant)
+        plant.Finalize()
+        return calc_arm_coverage(
+            plant, scene_graph, foreign=self._read_foreign()
         )
 
     def _read_foreign(self) -> tuple[ForeignMesh, ...]:

@@ -145,7 +145,7 @@ def calc_ur_tool_down_joints(
     if not np.allclose(R_WB[:, 2], [0, 0, 1]):
         raise UserError("robot model: the robot's base must stand upright")
     p_BT = R_WB.T @ (np.asarray(p_WT, dtype=float) - kinematics.X_WB[:, 3])
-    if kinematics.site_link[-1] != 6:
+    if kinematics.site_link[-1] != kinematics.num_joints:
         raise UserError("robot model: the tool must sit on the flange")
     X_6T = kinematics.X_AS[-1]
     c, s = np.cos(yaw), np.sin(yaw)
