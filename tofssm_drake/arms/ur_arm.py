@@ -200,7 +200,7 @@ def make_ur_shapes(
 
     They follow the links' axes: joint housings along the joints, tubes between
     them. Where the housings end is assumed in proportion to their radii, as
-    measured on the UR10's meshes.
+    measured on the meshes of CB3 arms.
 
     Args:
         data: Figures of the arm.
@@ -215,29 +215,33 @@ def make_ur_shapes(
     a2, a3 = data.a2, data.a3
     reach_1 = 0.5 * data.d5 - 0.6 * r.wrist
     reach_2 = 0.5 * data.d6 - 0.35 * r.wrist
-    joint = ((0, 0, 0.2 * r.wrist), (0, 0, -0.4 * r.wrist), r.wrist)
+    joint = ((0, 0, 0.4 * r.wrist), (0, 0, -0.5 * r.wrist), r.wrist)
     ends = (
         [((0, 0, 0.02), (0, 0, 0.02), r.base)],
         [
-            ((0, 0, 0), (0, 0, min(r.shoulder - data.d1, 0.0)), r.shoulder),
+            (
+                (0, 0, 0.35 * r.shoulder),
+                (0, 0, min(r.shoulder - data.d1, -0.35 * r.shoulder)),
+                r.shoulder,
+            ),
             ((0, 0, 0), (0, -0.25 * shoulder, 0), r.shoulder),
         ],
         [
             (
-                (0, 0, shoulder - 0.5 * r.shoulder),
-                (0, 0, shoulder + 0.43 * r.shoulder),
+                (0, 0, shoulder - 0.6 * r.shoulder),
+                (0, 0, shoulder + 0.55 * r.shoulder),
                 r.shoulder,
             ),
             ((0, 0, shoulder), (a2, 0, shoulder), r.upper_arm),
-            ((a2, 0, middle), (a2, 0, shoulder + 0.35 * r.elbow), r.elbow),
+            ((a2, 0, middle), (a2, 0, shoulder + 0.55 * r.elbow), r.elbow),
         ],
         [
-            ((0, 0, elbow - 0.45 * r.elbow), (0, 0, middle), r.elbow),
+            ((0, 0, elbow - 0.6 * r.elbow), (0, 0, middle), r.elbow),
             ((0, 0, elbow), (a3, 0, elbow), r.forearm),
             ((a3, 0, elbow - 0.4 * r.wrist), (a3, 0, wrist), r.wrist),
         ],
-        [joint, ((0, 0.3 * r.wrist, 0), (0, -reach_1, 0), r.wrist)],
-        [joint, ((0, -0.3 * r.wrist, 0), (0, reach_2, 0), r.wrist)],
+        [joint, ((0, 0.45 * r.wrist, 0), (0, -reach_1, 0), r.wrist)],
+        [joint, ((0, -0.45 * r.wrist, 0), (0, reach_2, 0), r.wrist)],
         [((0, 0, -0.43 * r.wrist), (0, 0, -0.43 * r.wrist), r.wrist)],
     )
     return [[_make_capsule(*row) for row in rows] for rows in ends]
