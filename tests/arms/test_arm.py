@@ -222,6 +222,75 @@ class TestArm(unittest.TestCase):
         )
 
 
+MJCF = """
+<mujoco model="arm"><worldbody>
+  <body name="foot" pos="0.1 0.2 0.3">
+    <geom type="box" size="0.1 0.1 0.1"/>
+    <body name="post" pos="0 0 0.4">
+      <joint name="a" type="hinge" axis="0 0 1" range="-90 90"/>
+      <geom type="cylinder" size="0.05 0.2"/>
+      <body name="hand" pos="0.3 0 0">
+        <joint name="b" type="slide" axis="1 0 0" range="-0.1 0.1"/>
+        <geom type="ellipsoid" size="0.1 0.1 0.1"/>
+      </body>
+    </body>
+  </body>
+</worldbody></mujoco>
+"""
+
+SDF = """
+<sdf version="1.9"><model name="arm">
+  <link name="foot"><collision name="c"><geometry><box>
+    <size>0.2 0.2 0.2</size></box></geometry></collision></link>
+  <link name="post"><pose relative_to="a"/><collision name="c"><geometry>
+    <cylinder><radius>0.05</radius><length>0.4</length></cylinder>
+    </geometry></collision></link>
+  <link name="hand"><pose relative_to="b"/></link>
+  <joint name="fixed" type="fixed"><parent>world</parent><child>foot</child>
+  </joint>
+  <joint name="a" type="revolute"><pose relative_to="foot">0 0 0.4 0 0 0</pose>
+    <parent>foot</parent><child>post</child><axis><xyz>0 0 1</xyz><limit>
+    <lower>-1.5</lower><upper>1.5</upper><velocity>2</velocity>
+    <effort>30</effort></limit></axis></joint>
+  <joint name="b" type="prismatic"><pose relative_to="post">0.3 0 0 0 0 0
+    </pose><parent>post</parent><child>hand</child><axis><xyz>1 0 0</xyz>
+    <limit><lower>-0.1</lower><upper>0.1</upper><velocity>1</velocity>
+    <effort>20</effort></limit></axis></joint>
+</model></sdf>
+"""
+
+
+class TestOtherFormats(unittest.TestCase):
+    """The same arm in MuJoCo's format and in SDF, placed by themselves."""
+
+    def check(self, name, text):
+        with tempfile.TemporaryDirectory() as folder:
+            path = Path(folder) / name
+            path.write_text(text)
+            arm = mut.Arm(
+                file=str(path),
+                tool="",
+                joint_speed=[1.0, 0.5],
+                joint_acceleration=[5.0, 2.0],
+                sensed="proximity",
+                X_WB=Pose(translation=[1.0, 0.0, 0.5]),
+            )
+            arm.check("robot")
+            self.assertEqual(arm.read_limits().joint_name, ("a", "b"))
+            plant, inspector = make_scene(arm)
+        kinematics = ArmKinematics.from_plant(plant, rings=())
+        X_WT = kinematics.calc_tcp_pose(np.array([np.pi / 2, 0.1]))
+        np.testing.assert_allclose(X_WT[:, 3], [1.0, 0.4, 0.9], atol=1e-9)
+        robot = RobotCapsules.from_plant(plant, inspector)
+        self.assertEqual(robot.body_names[:2], ["foot", "post"])
+
+    def test_mjcf(self):
+        self.check("arm.xml", MJCF)
+
+    def test_sdf(self):
+        self.check("arm.sdf", SDF)
+
+
 class TestPanda(unittest.TestCase):
     """A public description: COLLADA, STL, fingers, no transmissions."""
 

@@ -17,6 +17,7 @@ from tofssm_drake.arms.arm_file import (
     add_arm_file,
     find_arm_file,
     fix_joints,
+    free_from_world,
 )
 from tofssm_drake.arms.arm_shapes import calc_arm_coverage, set_arm_shapes
 from tofssm_drake.arms.capsules import Coverage
@@ -186,11 +187,9 @@ class Arm(ArmMount):
                 f"robot.{key}: {self.file} has no frame {name!r}",
             )
         fix_joints(plant, parsed, self.fixed_joints, self.file)
-        plant.WeldFrames(
-            plant.world_frame(),
-            plant.GetFrameByName(base, parsed.instance),
-            self.X_WB.make(),
-        )
+        base_frame = plant.GetFrameByName(base, parsed.instance)
+        free_from_world(plant, base_frame.body())
+        plant.WeldFrames(plant.world_frame(), base_frame, self.X_WB.make())
         self.add_tool(plant, flange)
         self._set_limits(plant, parsed)
 

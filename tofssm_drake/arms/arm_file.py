@@ -16,7 +16,12 @@ from pydrake.common.eigen_geometry import AngleAxis
 from pydrake.math import RigidTransform, RollPitchYaw, RotationMatrix
 from pydrake.multibody.parsing import PackageMap, Parser
 from pydrake.multibody.plant import MultibodyPlant
-from pydrake.multibody.tree import ModelInstanceIndex, PrismaticJoint
+from pydrake.multibody.tree import (
+    ModelInstanceIndex,
+    PrismaticJoint,
+    RigidBody,
+    WeldJoint,
+)
 
 from tofssm_drake.errors import UserError, require
 import tofssm_drake.models as models
@@ -252,6 +257,23 @@ def fix_joints(
                 plant.RemoveJointActuator(actuator)
         plant.RemoveJoint(joint)
         plant.WeldFrames(parent, child, X_FM)
+
+
+def free_from_world(plant: MultibodyPlant, body: RigidBody) -> None:
+    """Removes the weld by which a description itself has placed its base.
+
+    Args:
+        plant: Not finalized.
+        body: The base.
+    """
+    for index in plant.GetJointIndices(body.model_instance()):
+        joint = plant.get_joint(index)
+        if (
+            isinstance(joint, WeldJoint)
+            and joint.parent_body().index() == plant.world_body().index()
+            and joint.child_body().index() == body.index()
+        ):
+            plant.RemoveJoint(joint)
 
 
 def _calc_joint_pose(joint, position):

@@ -19,6 +19,7 @@ from pydrake.geometry import (
     Capsule,
     Convex,
     Cylinder,
+    Ellipsoid,
     GeometryInstance,
     IllustrationProperties,
     InMemoryMesh,
@@ -243,8 +244,12 @@ def _make_trimesh(shape):
         # The polygon is around the circle.
         radius = shape.radius() / np.cos(np.pi / 64)
         return trimesh.creation.cylinder(radius, shape.length(), sections=64)
+    # The ball's flat faces are at most 0.5 % inside of a sphere.
+    ball = trimesh.creation.icosphere(subdivisions=3, radius=1.01)
+    if isinstance(shape, Ellipsoid):
+        size = np.array([shape.a(), shape.b(), shape.c()])
+        return trimesh.Trimesh(size * ball.vertices, ball.faces)
     if isinstance(shape, Sphere | Capsule):
-        ball = trimesh.creation.icosphere(subdivisions=3, radius=1.01)
         points = shape.radius() * np.asarray(ball.vertices)
         if isinstance(shape, Sphere):
             return trimesh.Trimesh(points, ball.faces)
@@ -255,7 +260,8 @@ def _make_trimesh(shape):
     if isinstance(shape, Convex | Mesh):
         return _load_mesh(shape)
     raise UserError(
-        f"robot.file: a {type(shape).__name__} cannot be made a capsule"
+        f"robot.file: no capsule can be fitted around a shape of type "
+        f"{type(shape).__name__}"
     )
 
 
