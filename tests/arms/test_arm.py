@@ -1,6 +1,7 @@
 from pathlib import Path
 import tempfile
 import unittest
+import xml.etree.ElementTree as ElementTree
 
 import numpy as np
 from pydrake.geometry import (
@@ -134,6 +135,29 @@ class TestArm(unittest.TestCase):
         plant, inspector = make_scene(arm)
         robot = RobotCapsules.from_plant(plant, inspector)
         np.testing.assert_array_equal(robot.radius, np.full(8, 0.1))
+
+    def test_links_with_one_kind_of_shapes(self):
+        """Each is seen and measured to by what it has."""
+        for kind in ("visual", "collision"):
+            for sensed in SHAPES:
+                arm = self.make("one joint", sensed=sensed)
+                root = ElementTree.fromstring(Path(arm.file).read_text())
+                link = root.find("link")
+                link.remove(link.find(kind))
+                text = ElementTree.tostring(root, encoding="unicode")
+                Path(arm.file).write_text(text)
+                plant, inspector = make_scene(arm)
+                frame_id = plant.GetBodyFrameIdOrThrow(
+                    plant.GetBodyByName("link_0").index()
+                )
+                for role in (Role.kPerception, Role.kProximity):
+                    self.assertGreater(
+                        inspector.NumGeometriesForFrameWithRole(frame_id, role),
+                        0,
+                        (kind, sensed, role),
+                    )
+                robot = RobotCapsules.from_plant(plant, inspector)
+                self.assertIn("link_0", robot.body_names)
 
     def test_foreign_meshes(self):
         """STL, which Drake does not read, next to the URDF, scaled."""

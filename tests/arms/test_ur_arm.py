@@ -1,7 +1,10 @@
+from pathlib import Path
+import tempfile
 import unittest
 
 import numpy as np
-from pydrake.geometry import Capsule, Role, SceneGraph, Sphere
+from pydrake.geometry import Capsule, Mesh, Role, SceneGraph, Sphere
+import trimesh
 
 from tofssm_drake.arms.arm import ArmModel, make_arm_plant
 from tofssm_drake.arms.cell_plant import make_cell_plant
@@ -11,6 +14,7 @@ from tofssm_drake.arms.tool_down import calc_tool_down_joints
 import tofssm_drake.arms.ur_arm as mut
 from tofssm_drake.arms.ur_data import list_ur_models, read_ur_data
 from tofssm_drake.errors import UserError
+from tofssm_drake.metrics.ground_truth import RobotCapsules
 
 MODELS = [
     *("ur10", "ur10e", "ur12e", "ur16e", "ur20", "ur30"),
@@ -231,6 +235,38 @@ class TestUrArm(unittest.TestCase):
                 )
                 self.assertLess(gap, 0.0, name)
             before = axes
+
+    def test_tool_with_meshes(self):
+        """A tool's STL is seen, and measured to as capsules."""
+        with tempfile.TemporaryDirectory() as folder:
+            mesh = trimesh.creation.box([0.1, 0.05, 0.2])
+            mesh.export(Path(folder) / "tool.stl")
+            path = Path(folder) / "tool.urdf"
+            geometry = '<geometry><mesh filename="tool.stl"/></geometry>'
+            path.write_text(
+                '<robot name="tool"><link name="tool"><inertial>'
+                '<mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" '
+                'ixz="0" iyz="0"/></inertial>'
+                f"<visual>{geometry}</visual><collision>{geometry}"
+                "</collision></link></robot>"
+            )
+            arm = mut.UrArm(model="ur3e", tool=str(path))
+            arm.check("robot")
+            scene_graph = SceneGraph()
+            plant = make_cell_plant(
+                arm=arm, scene_graph=scene_graph, sensors_per_ring=0
+            )
+        inspector = scene_graph.model_inspector()
+        body = plant.GetBodyByName("tool")
+        frame_id = plant.GetBodyFrameIdOrThrow(body.index())
+        (seen,) = inspector.GetGeometries(frame_id, Role.kPerception)
+        self.assertIsInstance(inspector.GetShape(seen), Mesh)
+        for geometry_id in inspector.GetGeometries(frame_id, Role.kProximity):
+            self.assertIsInstance(
+                inspector.GetShape(geometry_id), Capsule | Sphere
+            )
+        robot = RobotCapsules.from_plant(plant, inspector)
+        self.assertIn("tool", robot.body_names)
 
     def test_ur10_is_the_hand_made_model(self):
         plant = make_cell_plant(sensors_per_ring=0)

@@ -13,11 +13,11 @@ from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import FixedOffsetFrame
 
 from tofssm_drake.arms.arm_file import (
-    ForeignMesh,
     add_arm_file,
     find_arm_file,
     fix_joints,
     free_from_world,
+    read_foreign_meshes,
 )
 from tofssm_drake.arms.arm_shapes import calc_arm_coverage, set_arm_shapes
 from tofssm_drake.arms.capsules import Coverage
@@ -242,7 +242,10 @@ class Arm(ArmMount):
             scene_graph: Before its context is made.
         """
         set_arm_shapes(
-            plant, scene_graph, sensed=self.sensed, foreign=self._read_foreign()
+            plant,
+            scene_graph,
+            sensed=self.sensed,
+            foreign=self._list_foreign(),
         )
 
     def calc_coverage(self) -> dict[str, Coverage]:
@@ -256,11 +259,11 @@ class Arm(ArmMount):
         self.add_to_plant(plant)
         plant.Finalize()
         return calc_arm_coverage(
-            plant, scene_graph, foreign=self._read_foreign()
+            plant, scene_graph, foreign=self._list_foreign()
         )
 
-    def _read_foreign(self) -> tuple[ForeignMesh, ...]:
-        return add_arm_file(MultibodyPlant(0.0), self.file).foreign
+    def _list_foreign(self):
+        return read_foreign_meshes(self.file) + read_foreign_meshes(self.tool)
 
     def read_limits(self, where: str = "robot") -> ArmLimits:
         """Returns what the joints can do.

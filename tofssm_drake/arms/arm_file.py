@@ -38,6 +38,8 @@ _PUBLIC = "example-robot-data"
 class ForeignMesh:
     """A mesh that Drake cannot read."""
 
+    model: str
+    """Name of the model instance."""
     link: str
     """Name of the body."""
     kind: str
@@ -183,7 +185,8 @@ def _split_urdf(path, packages):
                 if file.suffix.lower() not in _FOREIGN:
                     mesh.set("filename", str(file))
                     continue
-                foreign.append(_read_mesh(link.get("name"), element, file))
+                names = root.get("name"), link.get("name")
+                foreign.append(_read_mesh(*names, element, file))
                 link.remove(element)
     for joint in root.findall("joint"):
         for element in joint.findall("safety_controller"):
@@ -204,7 +207,7 @@ def _find_mesh(name, path, packages):
     return (path.parent / name.removeprefix("file://")).resolve()
 
 
-def _read_mesh(link, element, file):
+def _read_mesh(model, link, element, file):
     origin = element.find("origin")
     xyz, rpy = (
         [float(x) for x in (origin.get(key) or "0 0 0").split()]
@@ -214,6 +217,7 @@ def _read_mesh(link, element, file):
     )
     scale = element.find("geometry/mesh").get("scale") or "1 1 1"
     return ForeignMesh(
+        model=model,
         link=link,
         kind=element.tag,
         path=file,
@@ -257,6 +261,20 @@ def fix_joints(
                 plant.RemoveJointActuator(actuator)
         plant.RemoveJoint(joint)
         plant.WeldFrames(parent, child, X_FM)
+
+
+def read_foreign_meshes(file: str) -> tuple[ForeignMesh, ...]:
+    """Returns the meshes of a description that Drake cannot read.
+
+    Args:
+        file: A path, or a package:// URL; empty: none.
+
+    Raises:
+        UserError: It cannot be found or read.
+    """
+    if not file:
+        return ()
+    return add_arm_file(MultibodyPlant(0.0), file).foreign
 
 
 def free_from_world(plant: MultibodyPlant, body: RigidBody) -> None:

@@ -4,7 +4,8 @@ A description has visual shapes (roles perception and illustration) and
 collision shapes (role proximity). Here sensors see the ones that the user
 chose, and distances are measured to capsules and spheres: the description's
 own, if it has no others, or capsules fitted around each link's collision
-shapes. Drake cannot read STL and COLLADA; such meshes are read by trimesh.
+shapes. A link with only one kind of shapes is seen and measured to by these.
+Drake cannot read STL and COLLADA; such meshes are read by trimesh.
 """
 
 import dataclasses as dc
@@ -42,7 +43,7 @@ from tofssm_drake.arms.capsules import (
     calc_coverage,
     fit_capsules,
 )
-from tofssm_drake.arms.chain import find_chain, list_arm_bodies
+from tofssm_drake.arms.chain import list_arm_bodies
 from tofssm_drake.errors import UserError, require
 
 
@@ -73,7 +74,7 @@ def set_arm_shapes(
         plant: Finalized and registered with the SceneGraph.
         scene_graph: Before its context is made.
         sensed: What the sensors see: "perception", "proximity" or "capsules".
-        foreign: Meshes of the arm that Drake could not read.
+        foreign: Meshes of arm and tool that Drake could not read.
 
     Raises:
         UserError: No body has a shape, or a mesh cannot be read.
@@ -82,28 +83,33 @@ def set_arm_shapes(
     any_shape = False
     for body in list_arm_bodies(plant):
         visual, collision = _find_pieces(plant, inspector, body, foreign)
-        if not collision:
+        if not (visual or collision):
             continue
         any_shape = True
-        capsules = None
-        if not all(piece.is_simple() for piece in collision):
-            capsules = [_make_piece(c) for c in _fit(collision)]
         roles = _Roles(plant, scene_graph, body)
         for piece in visual:
             if piece.is_foreign:
                 roles.add(piece, Role.kIllustration)
-        if sensed == "perception":
+        capsules = _make_capsules(collision or visual)
+        if sensed == "perception" and visual:
             seen = [piece for piece in visual if piece.is_foreign]
         else:
             roles.remove(Role.kPerception)
-            seen = (sensed == "capsules" and capsules) or collision
+            seen = capsules if sensed == "capsules" else collision or visual
         for piece in seen:
             roles.add(piece, Role.kPerception)
-        if capsules:
+        if capsules is not collision:
             roles.remove(Role.kProximity)
             for piece in capsules:
                 roles.add(piece, Role.kProximity)
     require(any_shape, "robot.file: no body of the arm has a shape")
+
+
+def _make_capsules(pieces):
+    """Returns shapes, if all have closed-form distances, or capsules around."""
+    if all(piece.is_simple() for piece in pieces):
+        return pieces
+    return [_make_piece(capsule) for capsule in _fit(pieces)]
 
 
 def calc_arm_coverage(
@@ -117,7 +123,7 @@ def calc_arm_coverage(
     Args:
         plant: As in `set_arm_shapes`, before that is called.
         scene_graph: Its SceneGraph.
-        foreign: Meshes of the arm that Drake could not read.
+        foreign: Meshes of arm and tool that Drake could not read.
 
     Returns:
         By name of the body; those that keep their own capsules are left out.
@@ -125,7 +131,8 @@ def calc_arm_coverage(
     inspector = scene_graph.model_inspector()
     found = {}
     for body in list_arm_bodies(plant):
-        _, collision = _find_pieces(plant, inspector, body, foreign)
+        visual, collision = _find_pieces(plant, inspector, body, foreign)
+        collision = collision or visual
         if all(piece.is_simple() for piece in collision):
             continue
         mesh = _make_surface(collision)
@@ -134,11 +141,10 @@ def calc_arm_coverage(
 
 
 def _find_pieces(plant, inspector, body, foreign):
-    """Returns a body's visual and its collision shapes, or those twice."""
+    """Returns a body's visual and its collision shapes."""
     found = []
     frame_id = plant.GetBodyFrameIdIfExists(body.index())
-    # A tool's body may have the name of a link.
-    own = find_chain(plant).bodies[0].model_instance()
+    model = plant.GetModelInstanceName(body.model_instance())
     for role, kind in (
         (Role.kPerception, "visual"),
         (Role.kProximity, "collision"),
@@ -155,13 +161,10 @@ def _find_pieces(plant, inspector, body, foreign):
         pieces += [
             _read_foreign(mesh)
             for mesh in foreign
-            if mesh.kind == kind
-            and mesh.link == body.name()
-            and body.model_instance() == own
+            if (mesh.kind, mesh.model, mesh.link) == (kind, model, body.name())
         ]
         found.append(pieces)
-    visual, collision = found
-    return visual, collision or visual
+    return found
 
 
 class _Roles:

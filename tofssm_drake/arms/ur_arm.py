@@ -23,7 +23,8 @@ from tofssm_drake.arms.arm import (
     check_initial_position,
     make_arm_plant,
 )
-from tofssm_drake.arms.arm_file import add_arm_file
+from tofssm_drake.arms.arm_file import add_arm_file, read_foreign_meshes
+from tofssm_drake.arms.arm_shapes import set_arm_shapes
 from tofssm_drake.arms.limits import ArmLimits
 from tofssm_drake.arms.tool_down import UrLengths, calc_ur_joint_poses
 from tofssm_drake.arms.ur_data import UrData, read_ur_data
@@ -91,7 +92,18 @@ class UrArm(ArmMount):
     def add_geometry(
         self, plant: MultibodyPlant, scene_graph: SceneGraph
     ) -> None:
-        """Does nothing: all shapes are added with the bodies."""
+        """Completes the tool's shapes; the arm's are added with the bodies.
+
+        Args:
+            plant: Finalized and registered with the SceneGraph.
+            scene_graph: Before its context is made.
+        """
+        set_arm_shapes(
+            plant,
+            scene_graph,
+            sensed="perception",
+            foreign=read_foreign_meshes(self.tool),
+        )
 
     def read_limits(self, where: str = "robot") -> ArmLimits:
         """Returns what the joints can do."""
