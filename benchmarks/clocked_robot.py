@@ -12,7 +12,7 @@ from pathlib import Path
 import time
 
 from tofssm_drake.arms.cell_plant import make_cell_plant
-from tofssm_drake.arms.kinematics import RingKinematics
+from tofssm_drake.arms.kinematics import ArmKinematics
 from tofssm_drake.rtde.rtde_server import RtdeServer
 from tofssm_drake.rtde.simulated_ur import SimulatedUr, SimulatedUrConfig
 from tofssm_drake.scripts.simulate import catch_stop
@@ -50,7 +50,7 @@ def main():
     config = SimulatedUrConfig(
         series=arguments.series, start="heartbeat", loop=True
     )
-    kinematics = RingKinematics.from_plant(make_cell_plant())
+    kinematics = ArmKinematics.from_plant(make_cell_plant())
     robot = ClockedUr(
         config=config,
         path=make_program_path(config.program, kinematics),

@@ -23,7 +23,7 @@ from pydrake.math import RigidTransform
 from pydrake.systems.framework import DiagramBuilder
 
 from tofssm_drake.arms.cell_plant import make_cell_plant
-from tofssm_drake.arms.kinematics import RingKinematics
+from tofssm_drake.arms.kinematics import ArmKinematics
 from tofssm_drake.diagrams.people import make_person_motion
 from tofssm_drake.diagrams.scenario import load_scenario
 from tofssm_drake.diagrams.sensors.rings import find_rings
@@ -83,7 +83,7 @@ class Scene:
         )
         self.max_range = float(self.bundles.max_range[0])
         layout = ProductLayout.from_config(scenario.program)
-        kinematics = RingKinematics.from_plant(self.plant)
+        kinematics = ArmKinematics.from_plant(self.plant)
         others = self.caster.frame_ids[: -len(avatar.frame_ids)]
         assert self.caster.frame_ids == [*others, *avatar.frame_ids]
         self._num_others = len(others)

@@ -52,21 +52,22 @@ from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import ConstantVectorSource
 from tofssm_drake.diagrams.scenario import load_scenario
-from tofssm_drake.arms.kinematics import RingKinematics
+from tofssm_drake.arms.kinematics import ArmKinematics
 from tofssm_drake.tasks.program import PickAndPlaceProgram
-from tofssm_drake.arms.sim_ur10 import make_sim_ur10
+from tofssm_drake.arms.sim_arm import make_sim_arm
 from tofssm_drake.arms.cell_plant import make_cell_plant
 scenario = load_scenario(name=sys.argv[1], text=sys.argv[2])
 builder = DiagramBuilder()
 program = builder.AddSystem(
     PickAndPlaceProgram(
         config=scenario.program,
-        kinematics=RingKinematics.from_plant(make_cell_plant()),
+        kinematics=ArmKinematics.from_plant(make_cell_plant()),
         period=scenario.control_period,
     )
 )
-robot, _ = make_sim_ur10(
-    config=scenario.robot,
+robot, _ = make_sim_arm(
+    config=scenario.driver,
+    arm=scenario.robot,
     initial_position=program.path.calc_motion(0.0)[0],
 )
 builder.AddSystem(robot)

@@ -8,7 +8,7 @@ import numpy as np
 from pydrake.geometry import Meshcat
 from pydrake.systems.framework import Context
 
-from tofssm_drake.arms.kinematics import RingKinematics
+from tofssm_drake.arms.kinematics import ArmKinematics
 from tofssm_drake.diagrams.hardware_station import make_hardware_station
 from tofssm_drake.diagrams.held_connections import HeldRings, HeldRobot
 from tofssm_drake.diagrams.scenario import Scenario
@@ -255,7 +255,7 @@ class HardwareLoop:
         scenario = self._scenario
         rings = find_rings(scenario.sensors)
         path = make_program_path(
-            scenario.program, RingKinematics.from_plant(self._station.plant)
+            scenario.program, ArmKinematics.from_plant(self._station.plant)
         )
         q = path.calc_motion(0.0)[0]
         self._station.robot.report = RobotReport(

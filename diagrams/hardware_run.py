@@ -15,7 +15,7 @@ import time
 
 import numpy as np
 
-from tofssm_drake.arms.kinematics import RingKinematics
+from tofssm_drake.arms.kinematics import ArmKinematics
 from tofssm_drake.diagrams.hardware_loop import (
     HardwareLoop,
     TickInput,
@@ -84,7 +84,7 @@ def require_ready(
             "normal or reduced",
         )
     require_plausible(report, RobotReport(), JointLimits.from_plant(plant))
-    kinematics = RingKinematics.from_plant(plant)
+    kinematics = ArmKinematics.from_plant(plant)
     start_model_match(model or ModelConfig(), kinematics, report)
     q = report.position
     path = make_program_path(scenario.program, kinematics)
@@ -291,7 +291,7 @@ def set_control_period(
     scenario.control_period = period
     scenario.audit.rtde_period = 1.0 / frequency
     # The simulated arm is not used, but its settings are checked.
-    scenario.robot.time_step = min(scenario.robot.time_step, period)
+    scenario.driver.time_step = min(scenario.driver.time_step, period)
     scenario.check()
 
 
@@ -320,7 +320,7 @@ class HardwareRun:
         period: float,
         record: RunRecorder | None = None,
         limits: JointLimits | None = None,
-        kinematics: RingKinematics | None = None,
+        kinematics: ArmKinematics | None = None,
         checks: RobotChecks | None = None,
         lowest: float = 0.0,
         clock: Callable[[], float] = time.monotonic,

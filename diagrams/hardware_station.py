@@ -5,7 +5,7 @@ import dataclasses as dc
 from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import ConstantVectorSource
 
-from tofssm_drake.arms.kinematics import RingKinematics
+from tofssm_drake.arms.kinematics import ArmKinematics
 from tofssm_drake.diagrams.held_connections import HeldRings, HeldRobot
 from tofssm_drake.diagrams.ring_world import add_ring_world, make_scene
 from tofssm_drake.diagrams.scenario import Scenario
@@ -131,7 +131,7 @@ def make_hardware_station(
     builder.ExportOutput(world.people.skeleton, "skeleton")
     diagram = builder.Build()
     diagram.set_name("station")
-    path = make_program_path(scenario.program, RingKinematics.from_plant(plant))
+    path = make_program_path(scenario.program, ArmKinematics.from_plant(plant))
     return HardwareStation(
         diagram=diagram,
         plant=plant,

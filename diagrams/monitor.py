@@ -6,7 +6,7 @@ from pydrake.geometry import SceneGraph
 from pydrake.systems.framework import Diagram, DiagramBuilder
 
 from tofssm_drake.arms.cell_plant import make_cell_plant
-from tofssm_drake.arms.kinematics import RingKinematics
+from tofssm_drake.arms.kinematics import ArmKinematics
 from tofssm_drake.diagrams.scenario import (
     Scenario,
     find_links,
@@ -110,12 +110,13 @@ def make_twin(
     """
     scene_graph = SceneGraph()
     plant = make_cell_plant(
+        arm=scenario.robot,
         scene_graph=scene_graph,
         sensors=scenario.sensors,
         products=scenario.program.products,
         meshes=scenario.robot_meshes,
     )
-    kinematics = RingKinematics.from_plant(
+    kinematics = ArmKinematics.from_plant(
         plant, links=find_link_frames(scenario.sensors)
     )
     path = make_program_path(scenario.program, kinematics)

@@ -16,7 +16,7 @@ from pydrake.systems.primitives import (
 from pydrake.systems.rendering import MultibodyPositionToGeometryPose
 
 from tofssm_drake.arms.cell_plant import make_cell_plant
-from tofssm_drake.arms.kinematics import RingKinematics
+from tofssm_drake.arms.kinematics import ArmKinematics
 from tofssm_drake.diagrams.people import People, add_people
 from tofssm_drake.diagrams.scenario import Scenario
 from tofssm_drake.diagrams.sensors import World, add_sensors_to_world
@@ -42,6 +42,7 @@ def make_scene(builder: DiagramBuilder, scenario: Scenario):
     """
     scene_graph = builder.AddNamedSystem("scene_graph", SceneGraph())
     plant = make_cell_plant(
+        arm=scenario.robot,
         sensors=scenario.sensors,
         products=scenario.program.products,
         scene_graph=scene_graph,
@@ -154,7 +155,7 @@ def _show_robot_and_products(builder, layout, scene_graph, plant, report):
     carrier = builder.AddNamedSystem(
         "products",
         ProductCarrier(
-            layout=layout, kinematics=RingKinematics.from_plant(plant)
+            layout=layout, kinematics=ArmKinematics.from_plant(plant)
         ),
     )
     for name, port in report.items():

@@ -8,6 +8,7 @@ import numpy as np
 from pydrake.geometry import Box, Role
 import yaml
 
+from tofssm_drake.arms.chain import find_chain
 from tofssm_drake.diagrams.scenario import (
     Scenario,
     dump_scenario,
@@ -222,8 +223,7 @@ def _describe_plan(station):
                     ],
                 }
             )
-    X_WB = plant.GetFrameByName("base").CalcPoseInWorld(context)
     return {
         "outlines": outlines,
-        "robot": X_WB.translation()[:2].tolist(),
+        "robot": find_chain(plant).X_WB[:2, 3].tolist(),
     }

@@ -13,7 +13,9 @@ import numpy as np
 from pydrake.common.yaml import yaml_load_typed
 import yaml
 
-from tofssm_drake.arms.sim_ur10 import SimUr10Config
+from tofssm_drake.arms.arm import Arm
+from tofssm_drake.arms.sim_arm import Simulated
+from tofssm_drake.arms.ur_arm import UrArm
 from tofssm_drake.diagrams.sensors import (
     MotionCapture,
     PlanarLidar,
@@ -74,8 +76,11 @@ class Scenario:
     # capsules. Needs the extra `meshes`.
     robot_meshes: bool = False
 
-    # The simulated arm and its controller.
-    robot: SimUr10Config = dc.field(default_factory=SimUr10Config)
+    # The arm: where it stands, its tool, what the sensors see of it.
+    robot: UrArm | Arm = dc.field(default_factory=UrArm)
+
+    # How the simulated arm is driven.
+    driver: Simulated = dc.field(default_factory=Simulated)
 
     # The task: where the products are and how fast the arm moves.
     program: ProgramConfig = dc.field(default_factory=ProgramConfig)
@@ -157,11 +162,11 @@ class Scenario:
     def _check_ticks(self, at):
         """Raises UserError unless a control tick is whole plant steps."""
         tick = self.control_period
-        steps = tick / self.robot.time_step
+        steps = tick / self.driver.time_step
         require(
             round(steps) >= 1 and abs(steps - round(steps)) < 1e-6,
-            f"{at}robot.time_step: control_period ({tick}) must be a multiple "
-            f"of it, got {self.robot.time_step}",
+            f"{at}driver.time_step: control_period ({tick}) must be a multiple "
+            f"of it, got {self.driver.time_step}",
         )
 
 

@@ -6,8 +6,8 @@ from pydrake.geometry import SceneGraph
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.systems.framework import Diagram, DiagramBuilder
 
-from tofssm_drake.arms.kinematics import RingKinematics
-from tofssm_drake.arms.sim_ur10 import make_sim_ur10
+from tofssm_drake.arms.kinematics import ArmKinematics
+from tofssm_drake.arms.sim_arm import make_sim_arm
 from tofssm_drake.diagrams.people import People
 from tofssm_drake.diagrams.ring_world import add_ring_world, make_scene
 from tofssm_drake.diagrams.scenario import Scenario
@@ -64,7 +64,7 @@ def make_station(scenario: Scenario) -> Station:
     """
     builder = DiagramBuilder()
     scene_graph, plant = make_scene(builder, scenario)
-    kinematics = RingKinematics.from_plant(plant)
+    kinematics = ArmKinematics.from_plant(plant)
 
     program = builder.AddNamedSystem(
         "program",
@@ -74,8 +74,9 @@ def make_station(scenario: Scenario) -> Station:
             period=scenario.control_period,
         ),
     )
-    robot, _ = make_sim_ur10(
-        config=scenario.robot,
+    robot, _ = make_sim_arm(
+        config=scenario.driver,
+        arm=scenario.robot,
         initial_position=program.path.calc_motion(0.0)[0],
     )
     builder.AddSystem(robot)

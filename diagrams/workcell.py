@@ -13,7 +13,7 @@ from pydrake.geometry import (
 )
 from pydrake.systems.framework import Context, Diagram, DiagramBuilder
 
-from tofssm_drake.arms.kinematics import RingKinematics
+from tofssm_drake.arms.kinematics import ArmKinematics
 from tofssm_drake.diagrams.monitor import make_monitor
 from tofssm_drake.diagrams.run_metadata import make_run_metadata
 from tofssm_drake.diagrams.scenario import (
@@ -142,7 +142,7 @@ def _make_truth(scenario, station):
         inspector=station.scene_graph.model_inspector(),
         radii=station.people.radii,
         people=len(station.people.avatars),
-        kinematics=RingKinematics.from_plant(station.plant, links=frames),
+        kinematics=ArmKinematics.from_plant(station.plant, links=frames),
         link_offsets=np.array(list(offsets.values())),
     )
 

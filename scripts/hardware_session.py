@@ -8,7 +8,7 @@ import time
 
 from rich.console import Console
 
-from tofssm_drake.arms.kinematics import RingKinematics
+from tofssm_drake.arms.kinematics import ArmKinematics
 from tofssm_drake.diagrams.hardware_loop import HardwareLoop, TickResult
 from tofssm_drake.diagrams.hardware_run import (
     HardwareRun,
@@ -247,7 +247,7 @@ def _make_run(settings, loop, robot, link, recorder):
         period=settings.scenario.control_period,
         record=recorder,
         limits=JointLimits.from_plant(plant),
-        kinematics=RingKinematics.from_plant(plant),
+        kinematics=ArmKinematics.from_plant(plant),
         checks=settings.checks,
         lowest=settings.slider.minimum_fraction,
     )
@@ -280,7 +280,7 @@ def _begin(settings, loop, robot, first, recorder):
             }
         )
     _console.print(describe_robot(robot.get_status(), scenario.control_period))
-    tool = describe_tool(checks.model, RingKinematics.from_plant(plant), first)
+    tool = describe_tool(checks.model, ArmKinematics.from_plant(plant), first)
     if tool:
         _console.print(tool)
 

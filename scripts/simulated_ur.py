@@ -5,7 +5,7 @@ from typing import Annotated
 import typer
 
 from tofssm_drake.arms.cell_plant import make_cell_plant
-from tofssm_drake.arms.kinematics import RingKinematics
+from tofssm_drake.arms.kinematics import ArmKinematics
 from tofssm_drake.errors import require
 from tofssm_drake.rtde.rtde_server import Faults, RtdeServer
 from tofssm_drake.rtde.simulated_ur import SimulatedUr, SimulatedUrConfig
@@ -136,7 +136,7 @@ def simulated_ur(
 
 def _make_robot(config):
     """Returns a robot whose kernels are compiled."""
-    kinematics = RingKinematics.from_plant(make_cell_plant())
+    kinematics = ArmKinematics.from_plant(make_cell_plant())
     robot = SimulatedUr(
         config=config,
         path=make_program_path(config.program, kinematics),

@@ -8,7 +8,7 @@ from pydrake.geometry import SceneGraph
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.systems.framework import DiagramBuilder, InputPort, OutputPort
 
-from tofssm_drake.arms.kinematics import RingKinematics
+from tofssm_drake.arms.kinematics import ArmKinematics
 from tofssm_drake.perception.occlusion_mask import OcclusionMaskConfig
 from tofssm_drake.perception.self_hits import SelfHitConfig
 from tofssm_drake.perception.separation import SeparationConfig
@@ -55,7 +55,7 @@ class Monitor:
     """Of the twin; it only provides the shapes, once."""
     plant: MultibodyPlant
     """The twin."""
-    kinematics: RingKinematics
+    kinematics: ArmKinematics
     """Of all watched links."""
     layout: ProductLayout
     person_radii: Sequence[float]
@@ -68,7 +68,7 @@ class Monitor:
         """Number of the robot's joints."""
         return len(self.kinematics.X_PJ)
 
-    def select_links(self, links: Sequence[str]) -> RingKinematics:
+    def select_links(self, links: Sequence[str]) -> ArmKinematics:
         """Returns the kinematics of some of the links."""
         return self.kinematics.select(links)
 

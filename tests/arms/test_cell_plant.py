@@ -8,7 +8,7 @@ from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.rendering import MultibodyPositionToGeometryPose
 
 import tofssm_drake.arms.cell_plant as mut
-from tofssm_drake.arms.kinematics import RingKinematics
+from tofssm_drake.arms.kinematics import ArmKinematics
 from tofssm_drake.errors import UserError
 from tofssm_drake.sensors.ring import Ring
 from tofssm_drake.tasks.program import ProgramConfig, make_program_path
@@ -84,7 +84,7 @@ class TestPathIsClear(unittest.TestCase):
         context = diagram.CreateDefaultContext()
         inspector = scene_graph.model_inspector()
         path = make_program_path(
-            ProgramConfig(), RingKinematics.from_plant(plant)
+            ProgramConfig(), ArmKinematics.from_plant(plant)
         )
         nearest = np.inf
         for s in np.arange(0, path.duration, 0.05):

@@ -7,7 +7,7 @@ import numpy as np
 from paper_cell import RINGS
 import pytest
 
-from tofssm_drake.arms.kinematics import RingKinematics
+from tofssm_drake.arms.kinematics import ArmKinematics
 from tofssm_drake.diagrams.monitor import make_monitor
 from tofssm_drake.diagrams.scenario import load_scenario
 from tofssm_drake.diagrams.station import make_station
@@ -27,7 +27,7 @@ def position():
     scenario = load_scenario()
     station = make_station(scenario)
     path = make_program_path(
-        scenario.program, RingKinematics.from_plant(station.plant)
+        scenario.program, ArmKinematics.from_plant(station.plant)
     )
     return path.calc_motion(0.0)[0]
 

@@ -9,7 +9,7 @@ from unittest import mock
 import numpy as np
 from paper_cell import RINGS
 
-from tofssm_drake.arms.kinematics import RingKinematics
+from tofssm_drake.arms.kinematics import ArmKinematics
 from tofssm_drake.diagrams.hardware_loop import (
     HardwareLoop,
     TickInput,
@@ -43,7 +43,7 @@ class Bench:
         self.loop = loop
         loop_path = make_program_path(
             scenario.program,
-            RingKinematics.from_plant(loop.workcell.station.plant),
+            ArmKinematics.from_plant(loop.workcell.station.plant),
         )
         self.position = loop_path.calc_motion(0.0)[0]
         self.echo = 1.0

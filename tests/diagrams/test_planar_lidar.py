@@ -4,7 +4,7 @@ import numpy as np
 from pydrake.systems.framework import DiagramBuilder
 import pytest
 
-from tofssm_drake.arms.kinematics import RingKinematics
+from tofssm_drake.arms.kinematics import ArmKinematics
 from tofssm_drake.diagrams.monitor import make_twin
 from tofssm_drake.diagrams.scenario import load_scenario
 import tofssm_drake.diagrams.sensors.planar_lidar as mut
@@ -120,7 +120,7 @@ def test_truth_s_link_stands_where_the_lidar_is(cell):
     # The tool is the robot's.
     np.testing.assert_array_equal(
         dut.calc_tcp_pose(q),
-        RingKinematics.from_plant(cell.plant).calc_tcp_pose(q),
+        ArmKinematics.from_plant(cell.plant).calc_tcp_pose(q),
     )
 
 

@@ -241,13 +241,13 @@ class TestDump(unittest.TestCase):
 class TestCheck(unittest.TestCase):
     def test_time_step_has_to_fit_the_tick(self):
         for text in (
-            "{robot: {time_step: 0.005}}",
+            "{driver: {time_step: 0.005}}",
             "{control_period: 0.002}",
-            "{control_period: 0.002, robot: {time_step: 0.004}}",
+            "{control_period: 0.002, driver: {time_step: 0.004}}",
         ):
             with self.subTest(text=text):
-                with self.assertRaisesRegex(UserError, "robot.time_step"):
+                with self.assertRaisesRegex(UserError, "driver.time_step"):
                     mut.load_scenario(text=text)
         mut.load_scenario(
-            text="{control_period: 0.002, robot: {time_step: 0.001}}"
+            text="{control_period: 0.002, driver: {time_step: 0.001}}"
         )

@@ -12,7 +12,8 @@ from pydrake.systems.framework import Diagram, LeafSystem
 import yaml
 
 import tofssm_drake
-import tofssm_drake.arms.sim_ur10 as sim_ur10
+import tofssm_drake.arms.sim_arm as sim_arm
+from tofssm_drake.arms.ur_arm import UrArm
 from tofssm_drake.diagrams.hardware_station import make_hardware_station
 from tofssm_drake.diagrams.held_connections import HeldRobot
 from tofssm_drake.diagrams.monitor import make_monitor
@@ -173,8 +174,10 @@ class TestSystemBlocks(unittest.TestCase):
         self.assertEqual(missing, set())
 
     def test_every_made_diagram(self):
-        robot, _ = sim_ur10.make_sim_ur10(
-            config=self.scenario.robot, initial_position=[0.0] * 6
+        robot, _ = sim_arm.make_sim_arm(
+            config=self.scenario.driver,
+            arm=UrArm(),
+            initial_position=[0.0] * 6,
         )
         controller = robot.GetSubsystemByName("inverse_dynamics_controller")
         for make, diagram in (
@@ -191,8 +194,8 @@ class TestSystemBlocks(unittest.TestCase):
                 ),
             ),
             (make_ring_world, make_ring_world(self.scenario)),
-            (sim_ur10.make_sim_ur10, robot),
-            (sim_ur10.make_inverse_dynamics_controller, controller),
+            (sim_arm.make_sim_arm, robot),
+            (sim_arm.make_inverse_dynamics_controller, controller),
         ):
             with self.subTest(make=make.__name__):
                 self.check(diagram, make.__doc__)

@@ -1,13 +1,18 @@
+from pathlib import Path
+import tempfile
 import unittest
 
 import numpy as np
 from paper_cell import RINGS, find_kinematics, make_plant
-from pydrake.geometry import Box, SceneGraph
+from pydrake.geometry import Box, Role, SceneGraph
 from pydrake.math import RigidTransform
 from pydrake.multibody.plant import CoulombFriction, MultibodyPlant
 from pydrake.systems.framework import DiagramBuilder
+from robots import CHAINS, make_panda, make_urdf
 
+from tofssm_drake.arms.arm import Arm
 from tofssm_drake.arms.cell_plant import make_cell_plant
+from tofssm_drake.arms.ur_arm import UrArm
 import tofssm_drake.metrics.ground_truth as mut
 from tofssm_drake.metrics.truth import TruthLayout
 from tofssm_drake.models import make_parser
@@ -288,6 +293,103 @@ class TestGroundTruth(unittest.TestCase):
                 self.assertTrue(self.dut.HasDirectFeedthrough(j, i))
 
 
+class TestAnyArm(unittest.TestCase):
+    """Distance and speed of contact against Drake's own plant."""
+
+    def check(self, arm):
+        builder = DiagramBuilder()
+        scene_graph = builder.AddSystem(SceneGraph())
+        plant = builder.AddSystem(
+            make_cell_plant(
+                arm=arm,
+                scene_graph=scene_graph,
+                sensors_per_ring=0,
+                cell=False,
+            )
+        )
+        builder.Connect(
+            plant.get_geometry_pose_output_port(),
+            scene_graph.get_source_pose_port(plant.get_source_id()),
+        )
+        diagram = builder.Build()
+        root = diagram.CreateDefaultContext()
+        context = plant.GetMyContextFromRoot(root)
+        dut = mut.TruthModel(
+            plant=plant,
+            inspector=scene_graph.model_inspector(),
+            radii=np.array([0.15]),
+            rings=(),
+        )
+        n = dut.num_positions
+        rng = np.random.default_rng(1)
+        touched = 0
+        for _ in range(30):
+            q, qd = rng.uniform(-0.5, 0.5, (2, n))
+            plant.SetPositions(context, q)
+            plant.SetVelocities(context, qd)
+            body = plant.GetBodyByName(rng.choice(dut.body_names[1:]))
+            centre = plant.EvalBodyPoseInWorld(context, body).translation()
+            centre = centre + rng.uniform(-0.4, 0.4, 3)
+            query = scene_graph.get_query_output_port().Eval(
+                scene_graph.GetMyContextFromRoot(root)
+            )
+            expected = min(
+                result.distance
+                for result in query.ComputeSignedDistanceToPoint(centre)
+            )
+            (truth,) = dut.calc(
+                q=q[None], qd=qd[None], skeleton=np.tile(centre, 2)[None]
+            )
+            layout = dut.layout
+            self.assertAlmostEqual(
+                truth[layout.distance], expected - 0.15, delta=1e-9
+            )
+            if truth[layout.distance] > 0.0:
+                continue
+            touched += 1
+            body = plant.GetBodyByName(
+                dut.body_names[int(truth[layout.robot_body])]
+            )
+            speeds = self.list_speeds(plant, context, body, scene_graph, centre)
+            self.assertLess(
+                np.abs(speeds - truth[layout.contact_speed]).min(), 1e-9
+            )
+        self.assertGreater(touched, 3)
+
+    def list_speeds(self, plant, context, body, scene_graph, centre):
+        """Returns the speeds of a body at its capsules' nearest points."""
+        V_WB = plant.EvalBodySpatialVelocityInWorld(context, body)
+        X_WB = plant.EvalBodyPoseInWorld(context, body)
+        speeds = []
+        inspector = scene_graph.model_inspector()
+        for geometry_id in inspector.GetGeometries(
+            plant.GetBodyFrameIdOrThrow(body.index()), Role.kProximity
+        ):
+            p, q, r = mut._read_capsule(inspector, geometry_id)
+            p, q = X_WB @ p, X_WB @ q
+            axis = q - p
+            t = np.clip((centre - p) @ axis / max(axis @ axis, 1e-12), 0.0, 1.0)
+            nearest = p + t * axis
+            towards = (centre - nearest) / np.linalg.norm(centre - nearest)
+            p_BP = nearest + r * towards - X_WB.translation()
+            speeds.append(np.linalg.norm(V_WB.Shift(p_BP).translational()))
+        return np.array(speeds)
+
+    def test_ur5e(self):
+        self.check(UrArm(model="ur5e"))
+
+    def test_seven_joints(self):
+        self.check(make_panda())
+
+    def test_sliding_joints(self):
+        with tempfile.TemporaryDirectory() as folder:
+            path = Path(folder) / "arm.urdf"
+            path.write_text(make_urdf(CHAINS["tilted"], tool="link_6"))
+            self.check(
+                Arm(file=str(path), tool="", joint_acceleration=[5.0] * 4)
+            )
+
+
 class TestRobotCapsules(unittest.TestCase):
     def test_unsupported_shape(self):
         scene_graph = SceneGraph()
@@ -296,6 +398,7 @@ class TestRobotCapsules(unittest.TestCase):
         make_parser(plant).AddModelsFromUrl(
             "package://tofssm_drake_models/ur10/ur10_gripper.dmd.yaml"
         )
+        plant.WeldFrames(plant.world_frame(), plant.GetFrameByName("base"))
         plant.RegisterCollisionGeometry(
             plant.GetBodyByName("forearm_link"),
             RigidTransform(),

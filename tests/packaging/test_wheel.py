@@ -18,10 +18,12 @@ import sys
 import tofssm_drake.scripts.main
 from tofssm_drake.diagrams.scenario import load_scenario, list_scenarios
 from tofssm_drake.arms.cell_plant import make_cell_plant
+from tofssm_drake.arms.ur_data import list_ur_models
 from pydrake.geometry import SceneGraph
 
 assert tofssm_drake.__file__.startswith(sys.argv[1]), tofssm_drake.__file__
 assert len(list_scenarios()) > 3
+assert len(list_ur_models()) == 9
 scenario = load_scenario()
 for name in ("Default", "SixteenSensors"):
     plant = make_cell_plant(

@@ -6,7 +6,7 @@ from pydrake.geometry import SceneGraph
 from pydrake.multibody.plant import MultibodyPlant
 
 from tofssm_drake.arms.cell_plant import make_cell_plant
-from tofssm_drake.arms.kinematics import RingKinematics
+from tofssm_drake.arms.kinematics import ArmKinematics
 from tofssm_drake.diagrams.scenario import load_scenario
 from tofssm_drake.sensors.ring import Ring
 
@@ -35,9 +35,9 @@ def make_twin_plant(
     )
 
 
-def find_kinematics(plant: MultibodyPlant) -> RingKinematics:
+def find_kinematics(plant: MultibodyPlant) -> ArmKinematics:
     """Returns the kinematics of a plant with the rings."""
-    return RingKinematics.from_plant(
+    return ArmKinematics.from_plant(
         plant, links={ring: f"{ring}_ring" for ring in RINGS}
     )
 

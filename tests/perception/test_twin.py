@@ -4,10 +4,13 @@ import unittest
 import numpy as np
 from paper_cell import RINGS, make_twin_plant
 from pydrake.geometry import Role, SceneGraph
+from pydrake.multibody.tree import BodyIndex
 from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.rendering import MultibodyPositionToGeometryPose
+from robots import make_panda
 
-from tofssm_drake.arms.kinematics import RingKinematics
+from tofssm_drake.arms.kinematics import ArmKinematics
+from tofssm_drake.arms.ur_arm import UrArm
 from tofssm_drake.errors import UserError
 import tofssm_drake.perception.twin as mut
 from tofssm_drake.tasks.products import ProductLayout, calc_product_positions
@@ -29,7 +32,7 @@ class TestTwin(unittest.TestCase):
     @classmethod
     def setUpClass(cls):
         cls.plant, cls.scene_graph = make_twin()
-        cls.kinematics = RingKinematics.from_plant(cls.plant)
+        cls.kinematics = ArmKinematics.from_plant(cls.plant)
         cls.layout = ProductLayout.from_config(ProgramConfig())
 
     def test_poses_against_plant(self):
@@ -87,6 +90,40 @@ class TestTwin(unittest.TestCase):
                 atol=1e-9,
             )
 
+    def test_other_arms(self):
+        """Checks every frame of a UR5e and of a seven-joint arm."""
+        for arm in (UrArm(model="ur5e"), make_panda()):
+            scene_graph = SceneGraph()
+            plant = make_twin_plant(
+                scene_graph=scene_graph, sensors_per_ring=0, arm=arm
+            )
+            frames = [
+                plant.get_body(BodyIndex(i)).body_frame()
+                for i in range(plant.num_bodies())
+            ]
+            dut = mut.TwinPoses.from_plant(
+                plant, layout=self.layout, frames=frames
+            )
+            kinematics = ArmKinematics.from_plant(plant)
+            context = plant.CreateDefaultContext()
+            q = np.linspace(-0.5, 0.4, kinematics.num_joints)
+            plant.SetPositions(
+                context,
+                _calc_positions(
+                    layout=self.layout,
+                    kinematics=kinematics,
+                    q=q,
+                    gripper_closed=1,
+                    products_placed=3,
+                ),
+            )
+            for X_WF, frame in zip(dut.calc(q, 1, 3), frames, strict=True):
+                np.testing.assert_allclose(
+                    X_WF,
+                    frame.CalcPoseInWorld(context).GetAsMatrix34(),
+                    atol=1e-9,
+                )
+
     def test_foreign_body_is_an_error(self):
         layout = ProductLayout.from_config(ProgramConfig(products=3))
         body = self.plant.GetBodyByName(
@@ -113,7 +150,7 @@ class TestSensorsAreOutside(unittest.TestCase):
         builder.ExportInput(poses.get_input_port(), "positions")
         diagram = builder.Build()
         context = diagram.CreateDefaultContext()
-        kinematics = RingKinematics.from_plant(plant)
+        kinematics = ArmKinematics.from_plant(plant)
         layout = ProductLayout.from_config(ProgramConfig())
         path = make_program_path(ProgramConfig(), kinematics)
         frames = [

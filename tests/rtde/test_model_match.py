@@ -9,6 +9,9 @@ import numpy as np
 from robot_room import make_kinematics, make_robot
 from scipy.spatial.transform import Rotation
 
+from tofssm_drake.arms.arm import make_arm_plant
+from tofssm_drake.arms.kinematics import ArmKinematics
+from tofssm_drake.arms.ur_arm import UrArm
 from tofssm_drake.errors import UserError
 from tofssm_drake.messages import RobotReport
 import tofssm_drake.rtde.model_match as mut
@@ -90,6 +93,16 @@ class TestStart(unittest.TestCase):
             pose = calc_dh_pose(q, UR5E, (0, 0, 0.2))
             with self.assertRaisesRegex(UserError, "mm and 0.0 deg from"):
                 start(make_report(q, pose, (0, 0, 0.2, 0, 0, 0)))
+
+    def test_ur5e_that_is_modelled(self):
+        """Against the published table: a UR5e's reports fit a UR5e's model."""
+        kinematics = ArmKinematics.from_plant(
+            make_arm_plant(UrArm(model="ur5e")), rings=()
+        )
+        for q in list_joints():
+            pose = calc_dh_pose(q, UR5E, (0, 0, 0.2))
+            report = make_report(q, pose, (0, 0, 0.2, 0, 0, 0))
+            mut.start_model_match(mut.ModelConfig(), kinematics, report)
 
     def test_no_pose(self):
         report = make_report(np.zeros(6), _NAN)

@@ -20,7 +20,7 @@ import numpy as np
 from robot_room import make_robot, serve
 
 from tofssm_drake.arms.cell_plant import make_cell_plant
-from tofssm_drake.arms.kinematics import RingKinematics
+from tofssm_drake.arms.kinematics import ArmKinematics
 from tofssm_drake.diagrams import hardware_run
 from tofssm_drake.diagrams.hardware_loop import HardwareLoop
 from tofssm_drake.diagrams.hardware_run import require_ready
@@ -766,10 +766,10 @@ class TestReady(unittest.TestCase):
         cls.scenario = load_scenario()
         cls.plant = make_cell_plant()
         path = make_program_path(
-            cls.scenario.program, RingKinematics.from_plant(cls.plant)
+            cls.scenario.program, ArmKinematics.from_plant(cls.plant)
         )
         cls.q = path.calc_motion(0.5 * path.duration)[0]
-        cls.kinematics = RingKinematics.from_plant(cls.plant)
+        cls.kinematics = ArmKinematics.from_plant(cls.plant)
 
     def require(self, *, max_deviation=0.5, **fields):
         q = fields.get("position", self.q)

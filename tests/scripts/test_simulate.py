@@ -348,8 +348,8 @@ BAD_INPUT = {
         "out of the robot's reach",
     ),
     "time_step_does_not_fit": (
-        _text("{robot: {time_step: 0.003}}"),
-        "robot.time_step: control_period (0.008) must be a multiple",
+        _text("{driver: {time_step: 0.003}}"),
+        "driver.time_step: control_period (0.008) must be a multiple",
     ),
     "nan": (
         _text("{program: {pick_center: [.nan, 0.0, 0.7]}}"),

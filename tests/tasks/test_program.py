@@ -9,7 +9,7 @@ from pydrake.multibody.tree import MultibodyForces
 from pydrake.systems.analysis import Simulator
 
 from tofssm_drake.arms.cell_plant import make_cell_plant
-from tofssm_drake.arms.kinematics import RingKinematics
+from tofssm_drake.arms.kinematics import ArmKinematics
 from tofssm_drake.errors import UserError
 import tofssm_drake.tasks.program as mut
 
@@ -21,7 +21,7 @@ def make_plant():
 
 @functools.cache
 def make_kinematics():
-    return RingKinematics.from_plant(make_plant())
+    return ArmKinematics.from_plant(make_plant())
 
 
 @functools.cache

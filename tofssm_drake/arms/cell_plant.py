@@ -5,12 +5,14 @@ what is seen, without one for dynamics.
 """
 
 from collections.abc import Mapping
-import functools
 from typing import Protocol
 
 from pydrake.geometry import SceneGraph
 from pydrake.multibody.plant import MultibodyPlant
 
+from tofssm_drake.arms.arm import ArmModel
+from tofssm_drake.arms.ur_arm import UrArm
+from tofssm_drake.errors import require
 import tofssm_drake.models as models
 from tofssm_drake.sensors.ring import Ring
 from tofssm_drake.sensors.ring_looks import add_ring_looks
@@ -33,6 +35,7 @@ def make_cell_plant(
     time_step: float = 0.0,
     cell: bool = True,
     meshes: bool = False,
+    arm: ArmModel | None = None,
 ) -> MultibodyPlant:
     """Makes the plant of robot, gripper, cell, sensors and products.
 
@@ -43,31 +46,27 @@ def make_cell_plant(
         scene_graph: Where to register the geometry; without it the plant has
             none, and steps spend no time on contact.
         time_step: Of the discrete plant, s; 0 is continuous.
-        cell: Whether to load floor, pedestal, tables and box. Without them
-            the base is welded to the same place.
+        cell: Whether to load floor, pedestal, tables and box.
         meshes: Whether the robot's visible geometry is Universal Robots' own
             meshes instead of primitive shapes; needs the SceneGraph and the
-            optional extra `meshes`.
+            optional extra `meshes`. Of a UR10 only.
+        arm: The arm with its tool; by default the UR10 with its gripper.
 
     Returns:
         A finalized plant.
 
     Raises:
-        UserError: If a sensor is to be mounted where there is no frame.
+        UserError: If a sensor is to be mounted where there is no frame, or
+            there are no meshes of this arm.
     """
     plant = MultibodyPlant(time_step)
     if scene_graph is not None:
         plant.RegisterAsSourceForSceneGraph(scene_graph)
+    arm = arm or UrArm()
     parser = models.make_parser(plant)
     if cell:
-        parser.AddModelsFromUrl(_URL + "workcell/workcell.dmd.yaml")
-    else:
-        parser.AddModelsFromUrl(_URL + "ur10/ur10_gripper.dmd.yaml")
-        plant.WeldFrames(
-            plant.world_frame(),
-            plant.GetFrameByName("base"),
-            _read_base_pose(),
-        )
+        parser.AddModelsFromUrl(_URL + "workcell/cell.dmd.yaml")
+    arm.add_to_plant(plant)
     sensors = sensors or {}
     for name, sensor in sensors.items():
         sensor.add_frames(plant, name)
@@ -80,25 +79,19 @@ def make_cell_plant(
         plant.SetUseSampledOutputPorts(False)
     plant.Finalize()
     if scene_graph is not None:
+        arm.add_geometry(plant, scene_graph)
         rings = [name for name, s in sensors.items() if isinstance(s, Ring)]
         add_ring_looks(plant, scene_graph, rings=rings)
     if meshes:
         if scene_graph is None:
             raise ValueError("meshes: there is no scene_graph to put them in")
+        require(
+            plant.HasModelInstanceNamed("ur10"),
+            "robot_meshes: only a UR10 has these; another arm's own shapes are "
+            "chosen by robot.sensed",
+        )
         # Its libraries are optional.
         from tofssm_drake.arms.meshes import replace_robot_shapes
 
         replace_robot_shapes(plant, scene_graph)
     return plant
-
-
-@functools.cache
-def _read_base_pose():
-    """Returns where the cell's model puts the robot's base."""
-    plant = MultibodyPlant(0.0)
-    parser = models.make_parser(plant)
-    parser.AddModelsFromUrl(_URL + "workcell/cell.dmd.yaml")
-    plant.Finalize()
-    return plant.GetFrameByName("robot_base").CalcPoseInWorld(
-        plant.CreateDefaultContext()
-    )

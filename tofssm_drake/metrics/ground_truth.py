@@ -5,14 +5,16 @@ import functools
 from typing import NamedTuple
 
 import numpy as np
-from pydrake.geometry import Capsule, SceneGraphInspector, Sphere
+from pydrake.geometry import Capsule, Role, SceneGraphInspector, Sphere
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.systems.framework import LeafSystem
 
+from tofssm_drake.arms.chain import find_chain, list_arm_bodies
 from tofssm_drake.arms.kinematics import (
-    UR10_JOINTS,
-    RingKinematics,
+    ArmKinematics,
+    Chain,
     calc_link_poses,
+    calc_point_velocity,
     calc_sites,
 )
 from tofssm_drake.kernels import njit
@@ -42,47 +44,36 @@ class RobotCapsules:
         plant: MultibodyPlant,
         inspector: SceneGraphInspector,
         *,
-        joints: tuple[str, ...] = UR10_JOINTS,
-        models: tuple[str, ...] = ("ur10", "gripper"),
+        tcp: str = "tcp",
     ) -> "RobotCapsules":
-        """Reads the proximity geometry of the robot.
+        """Reads the proximity geometry of the robot and what it wears.
 
         Args:
             plant: Finalized plant, registered with a SceneGraph.
             inspector: Its SceneGraph's model inspector.
-            joints: Names of the joints, base to flange.
-            models: Names of the model instances that make up the robot.
+            tcp: Name of the tool's frame, at the arm's end.
 
         Raises:
             ValueError: if a shape is neither a sphere nor a capsule, or if
                 there is none.
+            UserError: if the plant has no arm.
         """
-        context = plant.CreateDefaultContext()
-        chain = [plant.GetJointByName(joints[0]).parent_body()]
-        chain += [plant.GetJointByName(name).child_body() for name in joints]
-        link_of = {
-            body.index(): i
-            for i, link in enumerate(chain)
-            for body in (link, *plant.GetBodiesWeldedTo(link))
-        }
+        links = find_chain(plant, tcp)
         link, p, q, radius, bodies, names = [], [], [], [], [], []
-        for model in models:
-            instance = plant.GetModelInstanceByName(model)
-            for index in plant.GetBodyIndices(instance):
-                body = plant.get_body(index)
-                ids = plant.GetCollisionGeometriesForBody(body)
-                if not ids:
-                    continue
-                anchor = chain[link_of[index]].body_frame()
-                X_AB = body.body_frame().CalcPose(context, anchor)
-                for geometry_id in ids:
-                    p_BP, p_BQ, r = _read_capsule(inspector, geometry_id)
-                    link.append(link_of[index])
-                    p.append(X_AB @ p_BP)
-                    q.append(X_AB @ p_BQ)
-                    radius.append(r)
-                    bodies.append(len(names))
-                names.append(body.name())
+        for body in list_arm_bodies(plant, tcp):
+            i = links.link_of[body.index()]
+            ids = _find_shapes(plant, inspector, body)
+            if not ids:
+                continue
+            X_AB = links.calc_pose_in_link(body.body_frame(), i)
+            for geometry_id in ids:
+                p_BP, p_BQ, r = _read_capsule(inspector, geometry_id)
+                link.append(i)
+                p.append(X_AB @ p_BP)
+                q.append(X_AB @ p_BQ)
+                radius.append(r)
+                bodies.append(len(names))
+            names.append(body.name())
         if not names:
             raise ValueError("The robot has no proximity geometry.")
         return RobotCapsules(
@@ -93,6 +84,17 @@ class RobotCapsules:
             body=np.array(bodies),
             body_names=names,
         )
+
+
+def _find_shapes(plant, inspector, body):
+    """Returns a body's proximity geometry in the order of the model."""
+    frame_id = plant.GetBodyFrameIdIfExists(body.index())
+    if frame_id is None:
+        return []
+    return sorted(
+        inspector.GetGeometries(frame_id, Role.kProximity),
+        key=lambda geometry_id: geometry_id.get_value(),
+    )
 
 
 def _read_capsule(inspector, geometry_id):
@@ -112,22 +114,11 @@ def _read_capsule(inspector, geometry_id):
 
 
 @njit(cache=True)
-def _point_speed(X_WA, qd, link, p):
+def _calc_point_speed(robot, X_WA, qd, link, p):
     """Speed of the point p (in world) that rides on a link, m/s."""
-    vx, vy, vz = 0.0, 0.0, 0.0
-    for i in range(1, link + 1):
-        wx = X_WA[i, 0, 2] * qd[i - 1]
-        wy = X_WA[i, 1, 2] * qd[i - 1]
-        wz = X_WA[i, 2, 2] * qd[i - 1]
-        rx, ry, rz = (
-            p[0] - X_WA[i, 0, 3],
-            p[1] - X_WA[i, 1, 3],
-            p[2] - X_WA[i, 2, 3],
-        )
-        vx += wy * rz - wz * ry
-        vy += wz * rx - wx * rz
-        vz += wx * ry - wy * rx
-    return np.sqrt(vx * vx + vy * vy + vz * vz)
+    v = np.empty(3)
+    calc_point_velocity(robot.chain.slides, X_WA, qd, link, p, v)
+    return np.sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2])
 
 
 @njit(cache=True)
@@ -176,9 +167,8 @@ def _find_nearest_axis_point(x, y, z, p, q, r):
 class _Robot(NamedTuple):
     """What the kernels take of the robot; Numba knows named tuples."""
 
-    X_WB: np.ndarray
-    """As in `RingKinematics`, like the next three."""
-    X_PJ: np.ndarray
+    chain: Chain
+    """As in `ArmKinematics`, like the next two."""
     site_link: np.ndarray
     X_AS: np.ndarray
     link: np.ndarray
@@ -195,8 +185,8 @@ def _calc_truth(robot, q, qd, ends, radii, person, truth):
 
     Args:
         robot: A `_Robot`.
-        q: Joint angles, rad, (n,).
-        qd: Joint speeds, rad/s, (n,).
+        q: Joint positions, rad or m, (n,).
+        qd: Joint speeds, rad/s or m/s, (n,).
         ends: Both ends of the person's capsules in world, m, (c, 2, 3).
         radii: Their radii, m, (c,).
         person: Number of capsules of a person, and index of the one of them
@@ -204,7 +194,7 @@ def _calc_truth(robot, q, qd, ends, radii, person, truth):
         truth: Written, (16 + 3 m,).
     """
     X_WA = np.empty((q.shape[0] + 1, 3, 4))
-    calc_link_poses(robot.X_WB, robot.X_PJ, q, X_WA)
+    calc_link_poses(robot.chain, q, X_WA)
     # Loops instead of slices: they compile in a fraction of the time.
     c = radii.shape[0]
     p_WP = np.empty((c, 3))
@@ -253,7 +243,7 @@ def _write_nearest(robot, X_WA, qd, p_WP, p_WQ, radii, truth):
                 p_WA, p_WB, robot.radius, i, p_WP, p_WQ, radii, j
             )
             if d <= 0.0:
-                speed = _point_speed(X_WA, qd, robot.link[i], p_WR)
+                speed = _calc_point_speed(robot, X_WA, qd, robot.link[i], p_WR)
                 if not touching or speed > truth[9]:
                     truth[7] = robot.body[i]
                     truth[8] = j
@@ -267,16 +257,7 @@ def _write_sites(robot, q, qd, p_WP, p_WQ, radii, truth):
     m = robot.site_link.shape[0] - 1
     X_WS = np.empty((m + 1, 3, 4))
     v_WS = np.empty((m + 1, 3))
-    calc_sites(
-        robot.X_WB,
-        robot.X_PJ,
-        robot.site_link,
-        robot.X_AS,
-        q,
-        qd,
-        X_WS,
-        v_WS,
-    )
+    calc_sites(robot.chain, robot.site_link, robot.X_AS, q, qd, X_WS, v_WS)
     for k in range(3):
         truth[10 + k] = X_WS[m, k, 3]
     vx, vy, vz = v_WS[m, 0], v_WS[m, 1], v_WS[m, 2]
@@ -313,13 +294,13 @@ class TruthModel:
 
     Args:
         plant: Finalized plant with the robot, its ring frames and its tool
-            frame, registered with a SceneGraph.
+            frame, registered with a SceneGraph. The robot's proximity
+            geometry must be capsules and spheres.
         inspector: Its SceneGraph's model inspector. Both are read once.
         radii: Radii of the person's capsules, m, (c,); empty: nobody.
         kinematics: Of the plant's robot, with the m watched links.
-        models: Names of the model instances that make up the robot. Their
-            proximity geometry must be capsules and spheres.
         pelvis: Index of the capsule whose centre is the person's place.
+        people: Number of people, alike in their capsules.
         link_offsets: Subtracted from the links' distances to the person,
             which end at 0, m, (m,) or one for all. For a sensing that subtracts
             it as well.
@@ -341,13 +322,12 @@ class TruthModel:
         plant: MultibodyPlant,
         inspector: SceneGraphInspector,
         radii: np.ndarray,
-        kinematics: RingKinematics,
-        models: tuple[str, ...] = ("ur10", "gripper"),
+        kinematics: ArmKinematics,
         pelvis: int = 0,
         people: int = 1,
         link_offsets: np.ndarray | float = 0.0,
     ):
-        robot = RobotCapsules.from_plant(plant, inspector, models=models)
+        robot = RobotCapsules.from_plant(plant, inspector)
         self._radii = np.array(radii, dtype=float).ravel()
         per_person = len(self._radii) // max(people, 1)
         self._person = np.array([max(per_person, 1), pelvis])
@@ -355,8 +335,7 @@ class TruthModel:
             np.asarray(link_offsets, dtype=float), len(kinematics.name)
         )
         self._robot = _Robot(
-            X_WB=kinematics.X_WB,
-            X_PJ=kinematics.X_PJ,
+            chain=kinematics.chain,
             site_link=kinematics.site_link,
             X_AS=kinematics.X_AS,
             link=robot.link,
@@ -367,7 +346,7 @@ class TruthModel:
         )
         self.layout = TruthLayout(len(kinematics.name))
         self.body_names = robot.body_names
-        self.num_positions = len(kinematics.X_PJ)
+        self.num_positions = kinematics.num_joints
         self.skeleton_size = 6 * len(self._radii)
 
     def calc(
@@ -376,8 +355,8 @@ class TruthModel:
         """Returns the truth at k instants, (k, layout.size).
 
         Args:
-            q: Joint angles, rad, (k, n).
-            qd: Joint speeds, rad/s, (k, n).
+            q: Joint positions, rad or m, (k, n).
+            qd: Joint speeds, rad/s or m/s, (k, n).
             skeleton: Both ends of the person's capsules in world, m, (k, 6 c).
         """
         k = len(q)

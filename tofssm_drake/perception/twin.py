@@ -10,9 +10,10 @@ import dataclasses as dc
 import numpy as np
 from pydrake.multibody.plant import MultibodyPlant
 
+from tofssm_drake.arms.chain import find_chain
 from tofssm_drake.arms.kinematics import (
-    UR10_JOINTS,
-    RingKinematics,
+    ArmKinematics,
+    Chain,
     calc_link_poses,
 )
 from tofssm_drake.errors import UserError
@@ -29,7 +30,7 @@ _KIND = 12
 
 @njit(cache=True)
 def calc_twin_poses(
-    robot, slots, frames, q, gripper_closed, products_placed, X_WF
+    chain, X_AT, slots, frames, q, gripper_closed, products_placed, X_WF
 ):
     """Poses frames that stand still, ride on the robot or are products.
 
@@ -37,27 +38,27 @@ def calc_twin_poses(
     microsecond on the way into compiled code.
 
     Args:
-        robot: Pose of the robot's base, X_PJ of its n joints as in
-            `calc_link_poses`, pose of the tool centre point in the last link,
-            (n + 2, 3, 4).
+        chain: The robot's, as in `calc_link_poses`.
+        X_AT: Pose of the tool centre point in the last link, row by row,
+            (12,).
         slots: Poses of the p products before they are picked and in the box,
             (2, p, 3, 4).
         frames: Of each frame its pose in world, in its link, or in its
             product, row by row, and its kind: -1 stands still, 0 to n rides
             on that link, n + 1 + i is product i; (f, 13).
-        q: Joint angles, rad, (n,).
+        q: Joint positions, rad or m, (n,).
         gripper_closed: More than 0.5 is closed.
         products_placed: How many products are in the box.
         X_WF: Changed, (f, 3, 4).
     """
     n = q.shape[0]
     X_WA = np.empty((n + 1, 3, 4))
-    calc_link_poses(robot[0], robot[1 : n + 1], q, X_WA)
+    calc_link_poses(chain, q, X_WA)
     placed = round(products_placed)
     X_WP = np.empty((3, 4))
     if gripper_closed > 0.5 and placed < slots.shape[1]:
         X_WT = np.empty((3, 4))
-        _multiply(X_WA[n], robot[n + 1].ravel(), X_WT)
+        _multiply(X_WA[n], X_AT, X_WT)
         calc_carried_pose(X_WT, X_WP)
     for f in range(frames.shape[0]):
         kind = int(frames[f, _KIND])
@@ -95,8 +96,9 @@ class TwinPoses:
     Made by `from_plant`; one compiled call per set of poses, no context.
     """
 
-    robot: np.ndarray
+    chain: Chain
     """As in `calc_twin_poses`, like the next three."""
+    X_AT: np.ndarray
     slots: np.ndarray
     frames: np.ndarray
 
@@ -107,7 +109,7 @@ class TwinPoses:
         layout: ProductLayout,
         frame_ids: list | None = None,
         frames: list | None = None,
-        kinematics: RingKinematics | None = None,
+        kinematics: ArmKinematics | None = None,
     ) -> "TwinPoses":
         """Reads the fixed transforms once.
 
@@ -123,13 +125,12 @@ class TwinPoses:
             UserError: If a frame is neither fixed in the cell, nor a part of
                 the robot, nor a product of the layout.
         """
-        kinematics = kinematics or RingKinematics.from_plant(plant)
+        kinematics = kinematics or ArmKinematics.from_plant(plant, rings=())
         if frames is None:
             frames = _find_frames(plant, frame_ids or [])
         return TwinPoses(
-            robot=np.concatenate(
-                [kinematics.X_WB[None], kinematics.X_PJ, kinematics.X_AS[-1:]]
-            ),
+            chain=kinematics.chain,
+            X_AT=kinematics.X_AS[-1].ravel(),
             slots=_calc_slots(layout),
             frames=_fix_frames(plant, frames, len(layout)),
         )
@@ -144,7 +145,7 @@ class TwinPoses:
         """Returns X_WF (f, 3, 4).
 
         Args:
-            q: Joint angles, rad, (6,).
+            q: Joint positions, rad or m, (n,).
             gripper_closed: More than 0.5 is closed.
             products_placed: How many products are in the box.
             X_WF: Where to write, if given.
@@ -152,7 +153,8 @@ class TwinPoses:
         if X_WF is None:
             X_WF = np.empty((len(self.frames), 3, 4))
         calc_twin_poses(
-            self.robot,
+            self.chain,
+            self.X_AT,
             self.slots,
             self.frames,
             q,
@@ -194,32 +196,38 @@ def _calc_slots(layout):
 
 def _fix_frames(plant, frames, products):
     """Returns `frames` as in `calc_twin_poses`."""
-    context = plant.CreateDefaultContext()
-    anchor_of = _find_anchors(plant, products)
+    links = find_chain(plant)
+    n = len(links.joints)
+    context = links.context
+    product_of = _find_products(plant, products)
     rows = np.empty((len(frames), _KIND + 1))
     for row, frame in zip(rows, frames, strict=True):
         body = frame.body()
-        if body.index() not in anchor_of:
+        link = links.link_of.get(body.index())
+        if link:
+            row[_KIND] = link
+            X_AF = links.calc_pose_in_link(frame, link)
+        elif body.index() in product_of:
+            i = product_of[body.index()]
+            row[_KIND] = n + 1 + i
+            X_AF = frame.CalcPoseInBodyFrame(context)
+        elif plant.IsAnchored(body):
+            # The base stands still, as does everything welded to it.
+            row[_KIND] = -1
+            X_AF = frame.CalcPoseInWorld(context)
+        else:
             raise UserError(
                 f"twin: body {body.name()} is neither robot, cell nor product"
             )
-        row[_KIND], anchor = anchor_of[body.index()]
-        X_AF = frame.CalcPose(context, anchor.body_frame())
         row[:_KIND] = X_AF.GetAsMatrix34().ravel()
     return rows
 
 
-def _find_anchors(plant, products):
-    """Returns kind and body that each body is welded to, by its index."""
-    links = [plant.GetJointByName(name).child_body() for name in UR10_JOINTS]
-    # The base stands still, as does everything welded to it.
-    anchors = [(-1, plant.world_body()), *enumerate(links, start=1)]
-    for i in range(products):
-        instance = plant.GetModelInstanceByName(f"product_{i}")
-        product = plant.GetBodyByName("product", instance)
-        anchors.append((len(links) + 1 + i, product))
+def _find_products(plant, products):
+    """Returns the number of each product by its body's index."""
     return {
-        body.index(): (kind, anchor)
-        for kind, anchor in anchors
-        for body in plant.GetBodiesWeldedTo(anchor)
+        plant.GetBodyByName(
+            "product", plant.GetModelInstanceByName(f"product_{i}")
+        ).index(): i
+        for i in range(products)
     }

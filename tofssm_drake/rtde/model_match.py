@@ -16,7 +16,7 @@ import numpy as np
 from pydrake.common.eigen_geometry import AngleAxis
 from pydrake.math import RotationMatrix
 
-from tofssm_drake.arms.kinematics import RingKinematics, calc_link_poses
+from tofssm_drake.arms.kinematics import ArmKinematics
 from tofssm_drake.errors import UserError, require
 from tofssm_drake.messages import RobotReport
 
@@ -81,7 +81,7 @@ class ModelMatch:
 
 
 def start_model_match(
-    config: ModelConfig, kinematics: RingKinematics, report: RobotReport
+    config: ModelConfig, kinematics: ArmKinematics, report: RobotReport
 ) -> ModelMatch:
     """Compares the first report; a difference counts at once.
 
@@ -110,7 +110,7 @@ def start_model_match(
 
 def step_model_match(
     config: ModelConfig,
-    kinematics: RingKinematics,
+    kinematics: ArmKinematics,
     match: ModelMatch,
     report: RobotReport,
 ) -> ModelMatch:
@@ -147,7 +147,7 @@ def step_model_match(
 
 def find_mismatch(
     config: ModelConfig,
-    kinematics: RingKinematics,
+    kinematics: ArmKinematics,
     match: ModelMatch,
     report: RobotReport,
 ) -> str:
@@ -187,7 +187,7 @@ def find_mismatch(
 
 
 def describe_tool(
-    config: ModelConfig, kinematics: RingKinematics, report: RobotReport
+    config: ModelConfig, kinematics: ArmKinematics, report: RobotReport
 ) -> str:
     """Returns a line if the robot's tool is not the modelled one; else "".
 
@@ -224,16 +224,14 @@ def _infer_offset(kinematics, match, report):
     return dc.replace(match, X_FT=compose(X_FB, make_pose(report.tcp_pose)))
 
 
-def calc_flange_pose(kinematics: RingKinematics, q: np.ndarray) -> np.ndarray:
+def calc_flange_pose(kinematics: ArmKinematics, q: np.ndarray) -> np.ndarray:
     """Returns X_BF (3, 4), the flange in UR's base frame.
 
     Args:
         kinematics: Of the robot.
         q: Joint angles, rad, (6,).
     """
-    X_BA = np.empty((len(q) + 1, 3, 4))
-    calc_link_poses(np.eye(3, 4), kinematics.X_PJ, np.array(q), X_BA)
-    return X_BA[-1]
+    return kinematics.calc_link_poses_in_base(q)[-1]
 
 
 def make_pose(vector: np.ndarray) -> np.ndarray:

@@ -13,7 +13,7 @@ import math
 import numpy as np
 from pydrake.math import RotationMatrix
 
-from tofssm_drake.arms.kinematics import RingKinematics, calc_link_poses
+from tofssm_drake.arms.kinematics import ArmKinematics
 from tofssm_drake.errors import require
 from tofssm_drake.rtde.model_match import compose, make_pose
 from tofssm_drake.rtde.rtde_fields import (
@@ -153,7 +153,7 @@ class SimulatedUr:
         *,
         config: SimulatedUrConfig,
         path: ProgramPath,
-        kinematics: RingKinematics,
+        kinematics: ArmKinematics,
     ):
         config.check("robot")
         self._config = config
@@ -430,7 +430,7 @@ class SimulatedUr:
 
 
 def calc_tool_motion(
-    kinematics: RingKinematics, q: np.ndarray, qd: np.ndarray, X_FT: np.ndarray
+    kinematics: ArmKinematics, q: np.ndarray, qd: np.ndarray, X_FT: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Returns what a UR controller reports of tool and elbow.
 
@@ -446,8 +446,7 @@ def calc_tool_motion(
         (6,).
         Elbow's position and velocity in the base, m, m/s, (3,) each.
     """
-    X_BA = np.empty((7, 3, 4))
-    calc_link_poses(np.eye(3, 4), kinematics.X_PJ, q, X_BA)
+    X_BA = kinematics.calc_link_poses_in_base(q)
     axes = X_BA[1:, :, 2]
     X_BT = compose(X_BA[-1], X_FT)
     pose = _calc_pose_vector(X_BT[:, :3], X_BT[:, 3])
@@ -458,7 +457,7 @@ def calc_tool_motion(
     return pose, np.concatenate([v_BT, qd @ axes]), p_BE, v_BE
 
 
-def calc_tcp_offset(kinematics: RingKinematics) -> np.ndarray:
+def calc_tcp_offset(kinematics: ArmKinematics) -> np.ndarray:
     """Returns the tool's pose in the flange, as a UR controller reports it.
 
     Args:
@@ -471,7 +470,7 @@ def calc_tcp_offset(kinematics: RingKinematics) -> np.ndarray:
         UserError: The tool sits elsewhere.
     """
     require(
-        kinematics.site_link[-1] == len(kinematics.X_PJ),
+        kinematics.site_link[-1] == kinematics.num_joints,
         "robot model: the tool must sit on the flange",
     )
     X_FT = kinematics.X_AS[-1]

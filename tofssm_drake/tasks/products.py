@@ -11,7 +11,7 @@ import dataclasses as dc
 import numpy as np
 from pydrake.systems.framework import BasicVector, Context, LeafSystem
 
-from tofssm_drake.arms.kinematics import RingKinematics
+from tofssm_drake.arms.kinematics import ArmKinematics
 from tofssm_drake.kernels import njit
 from tofssm_drake.tasks.program import (
     ProgramConfig,
@@ -154,7 +154,7 @@ def write_free_body_positions(X, positions):
 def calc_product_positions(
     *,
     layout: ProductLayout,
-    kinematics: RingKinematics,
+    kinematics: ArmKinematics,
     q: np.ndarray,
     gripper_closed: float,
     products_placed: float,
@@ -208,7 +208,7 @@ class ProductCarrier(LeafSystem):
         kinematics: Of the robot.
     """
 
-    def __init__(self, *, layout: ProductLayout, kinematics: RingKinematics):
+    def __init__(self, *, layout: ProductLayout, kinematics: ArmKinematics):
         super().__init__()
         self._layout = layout
         self._kinematics = kinematics

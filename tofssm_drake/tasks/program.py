@@ -20,10 +20,8 @@ from pydrake.systems.framework import (
 )
 import ruckig
 
-from tofssm_drake.arms.kinematics import (
-    RingKinematics,
-    calc_tool_down_joints,
-)
+from tofssm_drake.arms.kinematics import ArmKinematics
+from tofssm_drake.arms.tool_down import calc_tool_down_joints
 from tofssm_drake.errors import UserError, require, require_period
 from tofssm_drake.kernels import njit
 
@@ -423,7 +421,7 @@ def _require_approachable(config, rate, limit):
 
 
 def make_program_path(
-    config: ProgramConfig, kinematics: RingKinematics
+    config: ProgramConfig, kinematics: ArmKinematics
 ) -> ProgramPath:
     """Plans the whole task: each product from its slot into its slot.
 
@@ -571,7 +569,7 @@ class PickAndPlaceProgram(LeafSystem):
         self,
         *,
         config: ProgramConfig,
-        kinematics: RingKinematics,
+        kinematics: ArmKinematics,
         period: float = 0.008,
     ):
         super().__init__()

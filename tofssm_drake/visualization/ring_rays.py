@@ -7,7 +7,7 @@ from pydrake.math import RigidTransform, RotationMatrix
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.systems.framework import LeafSystem
 
-from tofssm_drake.arms.kinematics import RingKinematics
+from tofssm_drake.arms.kinematics import ArmKinematics
 from tofssm_drake.messages import MaskedScan, Reading
 from tofssm_drake.visualization import palette
 from tofssm_drake.visualization.animated import AnimatedProperty
@@ -91,7 +91,7 @@ class RingRays(LeafSystem):
     ):
         super().__init__()
         self._meshcat = meshcat
-        self._kinematics = RingKinematics.from_plant(
+        self._kinematics = ArmKinematics.from_plant(
             plant, links={ring: f"{ring}_ring" for ring in rings}
         )
         self._max_range = max_range
@@ -111,7 +111,7 @@ class RingRays(LeafSystem):
         self._num_sensors = sensors_per_ring
 
         self._position_port = self.DeclareVectorInputPort(
-            "position", len(self._kinematics.X_PJ)
+            "position", self._kinematics.num_joints
         )
         self._scan_ports = [
             self.DeclareAbstractInputPort(

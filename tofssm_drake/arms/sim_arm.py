@@ -1,4 +1,4 @@
-"""A simulated UR10: rigid-body dynamics under torque limits.
+"""A simulated arm: rigid-body dynamics under limits of effort.
 
 The plant has no geometry: contact is not part of this simulation, so its
 steps cost neither collision queries nor the poses of everything that moves
@@ -20,12 +20,12 @@ from pydrake.systems.primitives import (
     SharedPointerSystem,
 )
 
-from tofssm_drake.arms.cell_plant import make_cell_plant
+from tofssm_drake.arms.arm import ArmModel, make_arm_plant
 from tofssm_drake.errors import require
 
 
 @dc.dataclass(kw_only=True)
-class SimUr10Config:
+class Simulated:
     """Dynamics and controller of the simulated robot."""
 
     # Time step of the dynamics, s. The control tick must be a multiple of it.
@@ -120,16 +120,17 @@ def make_inverse_dynamics_controller(
     return diagram
 
 
-def make_sim_ur10(
+def make_sim_arm(
     *,
-    config: SimUr10Config,
+    config: Simulated,
+    arm: ArmModel,
     initial_position: np.ndarray,
 ) -> tuple[Diagram, MultibodyPlant]:
     """Makes the simulated robot.
 
     .. pydrake_system::
 
-        name: sim_ur10
+        name: sim_arm
         input_ports:
         - motion_commanded
         output_ports:
@@ -140,15 +141,17 @@ def make_sim_ur10(
         - body_poses
         - body_spatial_velocities
 
-    Joint vectors have six elements in UR's order: rad, rad/s, Nm.
-    `motion_commanded` is [q, qd, qdd] (18). `torque_commanded` is what the
-    motors get, within their limits. `body_poses` and
-    `body_spatial_velocities` are of the robot and its gripper alone, in the
-    body order of the plant that is returned.
+    Joint vectors have n elements, base to tool: rad, rad/s, Nm, or m, m/s, N
+    of a joint that slides. `motion_commanded` is [q, qd, qdd] (3 n).
+    `torque_commanded` is what the motors get, within their limits; a motor
+    whose model has no limit gets all that is asked for. `body_poses` and
+    `body_spatial_velocities` are of the arm and its tool alone, in the body
+    order of the plant that is returned.
 
     Args:
         config: Settings; checked.
-        initial_position: Where the robot is at the start, at rest, rad, (6,).
+        arm: Checked.
+        initial_position: Where the arm is at the start, at rest, (n,).
 
     Returns:
         The Diagram and the plant in it.
@@ -156,25 +159,23 @@ def make_sim_ur10(
     config.check("robot")
     builder = DiagramBuilder()
     plant = builder.AddNamedSystem(
-        "plant",
-        make_cell_plant(cell=False, time_step=config.time_step),
+        "plant", make_arm_plant(arm, time_step=config.time_step)
     )
+    n = plant.num_positions()
     plant.SetDefaultPositions(initial_position)
-    model = make_cell_plant(cell=False)
     controller = builder.AddSystem(
         make_inverse_dynamics_controller(
-            plant=model,
+            plant=make_arm_plant(arm),
             stiffness=config.stiffness,
             time_step=config.time_step,
         )
     )
-    limit = plant.GetEffortUpperLimits()
+    limit = arm.read_limits().effort
     motors = builder.AddNamedSystem(
         "torque_limits", Saturation(min_value=-limit, max_value=limit)
     )
-    measured = builder.AddNamedSystem("measured", Demultiplexer([6, 6]))
-    commanded = builder.AddNamedSystem("commanded", Demultiplexer([6, 12]))
-    robot = plant.GetModelInstanceByName("ur10")
+    measured = builder.AddNamedSystem("measured", Demultiplexer([n, n]))
+    commanded = builder.AddNamedSystem("commanded", Demultiplexer([n, 2 * n]))
 
     builder.ExportInput(
         controller.GetInputPort("motion_commanded"), "motion_commanded"
@@ -188,7 +189,8 @@ def make_sim_ur10(
         controller.GetOutputPort("generalized_force"), motors.get_input_port()
     )
     builder.Connect(
-        motors.get_output_port(), plant.get_actuation_input_port(robot)
+        _order_actuation(builder, plant, motors.get_output_port()),
+        plant.get_actuation_input_port(),
     )
     builder.Connect(plant.get_state_output_port(), measured.get_input_port())
 
@@ -202,5 +204,18 @@ def make_sim_ur10(
         "body_spatial_velocities",
     )
     diagram = builder.Build()
-    diagram.set_name("sim_ur10")
+    diagram.set_name("sim_arm")
     return diagram, plant
+
+
+def _order_actuation(builder, plant, joint_efforts):
+    """Returns the port of the efforts in the order of the plant's actuators.
+
+    A description may list its motors in another order than its joints.
+    """
+    order = plant.MakeActuationMatrix().T
+    if np.array_equal(order, np.eye(len(order))):
+        return joint_efforts
+    gain = builder.AddNamedSystem("actuator_order", MatrixGain(D=order))
+    builder.Connect(joint_efforts, gain.get_input_port())
+    return gain.get_output_port()

@@ -1,0 +1,302 @@
+"""Robot descriptions: found, read into a plant, and what Drake cannot read.
+
+Drake reads meshes in OBJ, glTF and VTK. Most public URDFs have STL and
+COLLADA: these meshes are left out of what Drake parses and are listed, so
+that `arm_shapes` adds them.
+"""
+
+import dataclasses as dc
+import functools
+import importlib.metadata
+import pathlib
+import xml.etree.ElementTree as ElementTree
+
+import numpy as np
+from pydrake.common.eigen_geometry import AngleAxis
+from pydrake.math import RigidTransform, RollPitchYaw, RotationMatrix
+from pydrake.multibody.parsing import PackageMap, Parser
+from pydrake.multibody.plant import MultibodyPlant
+from pydrake.multibody.tree import (
+    ModelInstanceIndex,
+    PrismaticJoint,
+    RigidBody,
+    WeldJoint,
+)
+
+from tofssm_drake.errors import UserError, require
+import tofssm_drake.models as models
+
+# Drake knows its own elements of a URDF, e.g. drake:capsule, by this prefix.
+ElementTree.register_namespace("drake", "http://drake.mit.edu")
+
+_FOREIGN = (".stl", ".dae")
+_PUBLIC = "example-robot-data"
+"""Public robot descriptions, which come with the extra `meshes`."""
+
+
+@dc.dataclass(frozen=True, eq=False, kw_only=True)
+class ForeignMesh:
+    """A mesh that Drake cannot read."""
+
+    model: str
+    """Name of the model instance."""
+    link: str
+    """Name of the body."""
+    kind: str
+    """`visual` or `collision`."""
+    path: pathlib.Path
+    """STL or COLLADA."""
+    X_LG: RigidTransform
+    """Pose of the mesh in its body."""
+    scale: np.ndarray
+    """Factors along its own axes, (3,)."""
+
+
+@dc.dataclass(frozen=True, eq=False, kw_only=True)
+class ParsedArm:
+    """What a description has put into a plant."""
+
+    instance: ModelInstanceIndex
+    """The model instance."""
+    foreign: tuple[ForeignMesh, ...] = ()
+    """Its meshes that Drake cannot read."""
+    effort: dict = dc.field(default_factory=dict)
+    """Limits of its joints' efforts by joint, Nm or N; Drake reads only those
+    of joints with a transmission."""
+    constraints: tuple = ()
+    """Ids of its constraints, e.g. of fingers that move together."""
+
+
+def make_package_map() -> PackageMap:
+    """Returns where package:// URLs lead: this package, and public robots.
+
+    Packages in ROS_PACKAGE_PATH are known, too.
+    """
+    packages = PackageMap()
+    packages.PopulateFromRosPackagePath()
+    packages.AddPackageXml(str(models.find_package_xml()))
+    folder = _find_public_robots()
+    if folder is not None and not packages.Contains(_PUBLIC):
+        packages.Add(_PUBLIC, str(folder))
+    return packages
+
+
+@functools.cache
+def _find_public_robots():
+    """Returns the folder of example-robot-data; None: it is not installed."""
+    try:
+        files = importlib.metadata.files(_PUBLIC) or []
+    except importlib.metadata.PackageNotFoundError:
+        return None
+    for file in files:
+        if file.match(f"{_PUBLIC}/package.xml"):
+            return pathlib.Path(str(file.locate())).resolve().parent
+    return None
+
+
+def find_arm_file(file: str, where: str = "robot.file") -> pathlib.Path:
+    """Returns the path of a description.
+
+    Args:
+        file: A path, or a package:// URL.
+        where: What the user calls this, for the message.
+
+    Raises:
+        UserError: There is no such file or package.
+    """
+    if not file.startswith("package://"):
+        path = pathlib.Path(file)
+        require(path.is_file(), f"{where}: there is no file {file}")
+        return path.resolve()
+    return _resolve(make_package_map(), file, where)
+
+
+def _resolve(packages, url, where):
+    """Returns the path of a package:// URL."""
+    name = url.removeprefix("package://").split("/")[0]
+    if not packages.Contains(name):
+        hint = (
+            "needs the optional extra, pip install 'tofssm-drake[meshes]'"
+            if name == _PUBLIC
+            else f"known are {', '.join(sorted(packages.GetPackageNames()))}"
+        )
+        raise UserError(f"{where}: no package {name!r}; {hint}")
+    path = pathlib.Path(packages.GetPath(name)) / url.split("/", 3)[3]
+    require(path.is_file(), f"{where}: there is no file {url}")
+    return path.resolve()
+
+
+def add_arm_file(plant: MultibodyPlant, file: str) -> ParsedArm:
+    """Reads a description into a plant.
+
+    Args:
+        plant: Not finalized.
+        file: A path, or a package:// URL.
+
+    Raises:
+        UserError: It cannot be found or read.
+    """
+    path = find_arm_file(file)
+    packages = make_package_map()
+    _add_own_package(packages, path)
+    parser = Parser(plant)
+    parser.package_map().AddMap(packages)
+    before = set(plant.GetConstraintIds())
+    foreign, effort = (), {}
+    try:
+        if path.suffix == ".urdf":
+            text, foreign, effort = _split_urdf(path, packages)
+        if foreign:
+            found = parser.AddModelsFromString(text, "urdf")
+        else:
+            found = parser.AddModels(str(path))
+    except (RuntimeError, ElementTree.ParseError) as error:
+        raise UserError(f"{file}: {' '.join(str(error).split())}") from None
+    require(len(found) == 1, f"{file}: must have one model")
+    return ParsedArm(
+        instance=found[0],
+        foreign=foreign,
+        effort=effort,
+        constraints=tuple(set(plant.GetConstraintIds()) - before),
+    )
+
+
+def _add_own_package(packages, path):
+    """Adds the ROS package that a file is in."""
+    for folder in path.parents:
+        if (folder / "package.xml").is_file():
+            name = ElementTree.parse(folder / "package.xml").findtext("name")
+            if name and not packages.Contains(name):
+                packages.Add(name, str(folder))
+            return
+
+
+def _split_urdf(path, packages):
+    """Returns a URDF for Drake, its foreign meshes and limits of effort."""
+    root = ElementTree.parse(path).getroot()
+    foreign = []
+    for link in root.findall("link"):
+        for kind in ("visual", "collision"):
+            for element in link.findall(kind):
+                mesh = element.find("geometry/mesh")
+                if mesh is None:
+                    continue
+                file = _find_mesh(mesh.get("filename"), path, packages)
+                if file.suffix.lower() not in _FOREIGN:
+                    mesh.set("filename", str(file))
+                    continue
+                names = root.get("name"), link.get("name")
+                foreign.append(_read_mesh(*names, element, file))
+                link.remove(element)
+    for joint in root.findall("joint"):
+        for element in joint.findall("safety_controller"):
+            joint.remove(element)  # Of ROS controllers; Drake warns of it.
+    effort = {
+        joint.get("name"): float(joint.find("limit").get("effort"))
+        for joint in root.findall("joint")
+        if joint.find("limit") is not None and joint.find("limit").get("effort")
+    }
+    text = ElementTree.tostring(root, encoding="unicode")
+    return text, tuple(foreign), effort
+
+
+def _find_mesh(name, path, packages):
+    """Returns the path of a mesh file that a URDF names."""
+    if name.startswith("package://"):
+        return _resolve(packages, name, str(path))
+    return (path.parent / name.removeprefix("file://")).resolve()
+
+
+def _read_mesh(model, link, element, file):
+    origin = element.find("origin")
+    xyz, rpy = (
+        [float(x) for x in (origin.get(key) or "0 0 0").split()]
+        if origin is not None
+        else [0.0, 0.0, 0.0]
+        for key in ("xyz", "rpy")
+    )
+    scale = element.find("geometry/mesh").get("scale") or "1 1 1"
+    return ForeignMesh(
+        model=model,
+        link=link,
+        kind=element.tag,
+        path=file,
+        X_LG=RigidTransform(RollPitchYaw(rpy), xyz),
+        scale=np.array([float(x) for x in scale.split()]),
+    )
+
+
+def fix_joints(
+    plant: MultibodyPlant,
+    parsed: ParsedArm,
+    fixed: dict[str, float],
+    file: str,
+) -> None:
+    """Replaces joints by welds.
+
+    Args:
+        plant: Not finalized.
+        parsed: The arm in it.
+        fixed: Where each joint stays, rad or m.
+        file: The description, for the message.
+
+    Raises:
+        UserError: There is no such joint.
+    """
+    if fixed:
+        # They tie joints together that do not move any more.
+        for constraint in parsed.constraints:
+            plant.RemoveConstraint(constraint)
+    for name, position in fixed.items():
+        require(
+            plant.HasJointNamed(name, parsed.instance),
+            f"robot.fixed_joints: {file} has no joint {name!r}",
+        )
+        joint = plant.GetJointByName(name, parsed.instance)
+        parent, child = joint.frame_on_parent(), joint.frame_on_child()
+        X_FM = _calc_joint_pose(joint, position)
+        for index in plant.GetJointActuatorIndices(parsed.instance):
+            actuator = plant.get_joint_actuator(index)
+            if actuator.joint().index() == joint.index():
+                plant.RemoveJointActuator(actuator)
+        plant.RemoveJoint(joint)
+        plant.WeldFrames(parent, child, X_FM)
+
+
+def read_foreign_meshes(file: str) -> tuple[ForeignMesh, ...]:
+    """Returns the meshes of a description that Drake cannot read.
+
+    Args:
+        file: A path, or a package:// URL; empty: none.
+
+    Raises:
+        UserError: It cannot be found or read.
+    """
+    if not file:
+        return ()
+    return add_arm_file(MultibodyPlant(0.0), file).foreign
+
+
+def free_from_world(plant: MultibodyPlant, body: RigidBody) -> None:
+    """Removes the weld by which a description itself has placed its base.
+
+    Args:
+        plant: Not finalized.
+        body: The base.
+    """
+    for index in plant.GetJointIndices(body.model_instance()):
+        joint = plant.get_joint(index)
+        if (
+            isinstance(joint, WeldJoint)
+            and joint.parent_body().index() == plant.world_body().index()
+            and joint.child_body().index() == body.index()
+        ):
+            plant.RemoveJoint(joint)
+
+
+def _calc_joint_pose(joint, position):
+    """Returns the pose across a revolute or prismatic joint."""
+    if isinstance(joint, PrismaticJoint):
+        return RigidTransform(position * joint.translation_axis())
+    turn = AngleAxis(position, joint.revolute_axis())
+    return RigidTransform(RotationMatrix(turn), [0.0, 0.0, 0.0])
