@@ -66,7 +66,7 @@ class Monitor:
     @property
     def num_joints(self) -> int:
         """Number of the robot's joints."""
-        return len(self.kinematics.X_PJ)
+        return self.kinematics.num_joints
 
     def select_links(self, links: Sequence[str]) -> ArmKinematics:
         """Returns the kinematics of some of the links."""
