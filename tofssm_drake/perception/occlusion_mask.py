@@ -316,25 +316,29 @@ def _stack_before(before, time):
         before: the ring's masked scan before.
         time: of the new scan, s.
     """
-    pause = 0.0
+    rows = _stack(
+        before.scan.sensor_time,
+        before.scan.distance,
+        before.reading,
+        before.previous_distance,
+        before.previous_time,
+        before.healthy_time,
+        before.no_returns,
+        before.unmeasured,
+        before.others,
+        before.raw.sensor_time,
+        before.raw.distance,
+    )
     if before.scan.sequence >= 0:
         pause = max(time - before.scan.time - LONGEST_STEP, 0.0)
-    return np.array(
-        [
-            before.scan.sensor_time,
-            before.scan.distance,
-            before.reading,
-            before.previous_distance,
-            before.previous_time,
-            before.healthy_time + pause,
-            before.no_returns,
-            before.unmeasured,
-            before.others,
-            before.raw.sensor_time,
-            before.raw.distance,
-        ],
-        dtype=float,
-    )
+        rows[_WAS_HEALTHY_TIME] += pause
+    return rows
+
+
+def _stack(*rows):
+    """Returns arrays of one length as rows of floats."""
+    # Much faster than np.array.
+    return np.concatenate(rows, dtype=float).reshape(len(rows), -1)
 
 
 @njit(cache=True)
@@ -653,16 +657,17 @@ def mask_scans(
         time,
         table[-1],
         np.zeros(num_sensors, dtype=bool) if is_dead is None else is_dead,
-        np.array(dc.astuple(config.memory)),
+        np.array(list(vars(config.memory).values())),
         tables.motion,
     )
     # The messages are views of these.
-    for array in (tables.samples, tables.verdict, tables.motion):
+    outcome = tables.verdict[: _FAULT + 1].astype(np.uint8)
+    for array in (tables.samples, tables.verdict, tables.motion, outcome):
         array.setflags(write=False)
     return tuple(
         was
         if raw is None
-        else _make_masked_scan(tables, raw, slice(n * i, n * i + n))
+        else _make_masked_scan(tables, outcome, raw, slice(n * i, n * i + n))
         for i, (raw, was) in enumerate(zip(newest, before, strict=True))
     )
 
@@ -790,9 +795,11 @@ def _find_proven(tables, view, bundles, least):
     """
     n = tables.sensors_per_ring
     rest = _choose_to_prove(tables.samples, tables.verdict, n)
+    more = bool(rest.any())
+    if not more:
+        return np.ones(len(rest), dtype=bool)
     hits = np.zeros(len(rest), dtype=int)
     which = np.empty(len(rest), dtype=bool)
-    more = bool(rest.any())
     while more:
         self_distance, more = view.cast(
             bundles, tables.samples, 0.0, rest, which
@@ -812,7 +819,7 @@ def _load_scan(tables, first, scan, before):
     if before.reading.shape != (n,):
         before = _make_nothing_before(n)
     raw = _fill_in(scan, before.raw)
-    new = np.array([raw.sensor_time, raw.distance, raw.status])
+    new = _stack(raw.sensor_time, raw.distance, raw.status)
     _load_ring(
         tables.samples,
         tables.verdict,
@@ -829,9 +836,9 @@ def _fill_in(scan, before):
     A ring may fire its sensors in turns, or a sensor may take longer: its last
     sample then stands, with its own time, until it is too old.
     """
-    missing = scan.status == STATUS_NO_NEW_DATA
-    if not missing.any():
+    if STATUS_NO_NEW_DATA not in scan.status.tolist():
         return scan
+    missing = scan.status == STATUS_NO_NEW_DATA
     arrays = [
         np.where(missing, old, new)
         for old, new in (
@@ -875,16 +882,23 @@ def _make_nothing_before(n):
     )
 
 
-def _make_masked_scan(tables, raw, sensors):
-    """Makes the message of a ring whose newest samples are `raw`."""
+def _make_masked_scan(tables, outcome, raw, sensors):
+    """Makes the message of a ring whose newest samples are `raw`.
+
+    Args:
+        tables: of all rings, read-only.
+        outcome: readings and faults, as in the message, (2, N).
+        raw: with each sensor's newest sample.
+        sensors: the ring's part of the tables.
+    """
     samples, verdict, motion, _ = tables
     distance = samples[_COUNTED, sensors]
-    reading = verdict[_READING, sensors].astype(np.uint8)
-    fault = verdict[_FAULT, sensors].astype(np.uint8)
-    for array in (reading, fault):
-        array.setflags(write=False)
+    reading = outcome[_READING, sensors]
     scan = raw
-    if (reading == _HELD).any() or distance.tobytes() != raw.distance.tobytes():
+    if (
+        _HELD in reading.tolist()
+        or distance.tobytes() != raw.distance.tobytes()
+    ):
         scan = RingScan.of_read_only(
             sequence=raw.sequence,
             time=raw.time,
@@ -897,7 +911,7 @@ def _make_masked_scan(tables, raw, sensors):
         scan=scan,
         raw=raw,
         reading=reading,
-        fault=fault,
+        fault=outcome[_FAULT, sensors],
         healthy_time=samples[_HEALTHY_TIME, sensors],
         no_returns=verdict[_NO_RETURNS, sensors],
         unmeasured=verdict[_UNMEASURED, sensors],

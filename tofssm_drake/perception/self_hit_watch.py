@@ -374,13 +374,13 @@ def make_looks(
         first = time[rest].min()
         sampled = rest & (time <= first + _SPREAD)
         rest &= ~sampled
-        timed = sampled & ~is_held if (sampled & ~is_held).any() else sampled
-        q, qd = motion[:, timed].mean(axis=1)
-        rings = np.flatnonzero(sampled.reshape(-1, n).any(axis=1))
+        timed = sampled & ~is_held
+        q, qd = motion[:, timed if timed.any() else sampled].mean(axis=1)
+        has_sampled = sampled.reshape(-1, n).any(axis=1)
         looks.append(
             Look(
-                rings=tuple(rings.tolist()),
-                which=np.repeat(np.isin(np.arange(len(scans)), rings), n),
+                rings=tuple(np.flatnonzero(has_sampled).tolist()),
+                which=np.repeat(has_sampled, n),
                 sampled=sampled,
                 time=time,
                 distance=distance,

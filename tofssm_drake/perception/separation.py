@@ -218,28 +218,28 @@ def _find_moment(distance, reading, sensor_time, now):
 
 
 @njit(cache=True)
-def _calc_closing_speed(sensor, distance, time, previous, limits, literal):
+def _calc_closing_speed(sensor, measured, max_gap, literal):
     """Returns -d||D||/dt of a sensor; NaN if it is unknown.
 
     Args:
         sensor: the deciding one.
-        distance: as measured, (n,) m.
-        time: (n,) s.
-        previous: distances, m, and times, s, of the previous samples, (2, n).
-        limits: max_gap, s.
-        literal: `difference_minimum` and `literal_sign`.
+        measured: distances, m, times, s, and the same of the previous samples,
+            (n,) each.
+        max_gap: s.
+        literal: `literal` and `literal_sign`.
     """
+    distance, time, previous_distance, previous_time = measured
     before = sensor
     if literal[0]:
         for i in range(distance.shape[0]):
-            if previous[0, i] < previous[0, before] or np.isnan(
-                previous[0, before]
+            if previous_distance[i] < previous_distance[before] or np.isnan(
+                previous_distance[before]
             ):
                 before = i
-    dt = time[sensor] - previous[1, before]
+    dt = time[sensor] - previous_time[before]
     # NaN if that sensor had no valid sample: the comparison is false.
-    if 0.0 < dt <= limits and previous[0, before] >= 0.0:
-        speed = (previous[0, before] - distance[sensor]) / dt
+    if 0.0 < dt <= max_gap and previous_distance[before] >= 0.0:
+        speed = (previous_distance[before] - distance[sensor]) / dt
         return -speed if literal[1] else speed
     return np.nan
 
@@ -257,6 +257,69 @@ def _calc_speeds(measured_speed, is_held, direction_L, R_WL, v_WL, V_hmax):
     if measured_speed == measured_speed:
         k_o = max(k_o, measured_speed) if is_held else measured_speed
     return direction, k_l, k_o
+
+
+# A link's row in two compiled steps, since each call costs a microsecond:
+# between them the deciding sensor is known, and the link is posed for it.
+
+
+@njit(cache=True)
+def _begin_row(row, reading, distance, sensor_time, now, k_max):
+    """Finds the deciding sensor; -1: none.
+
+    Args:
+        row: gets time, distance, sensor and counts, (15,).
+        reading: (n,) `Reading`.
+        distance: as measured, (n,) m.
+        sensor_time: (n,) s.
+        now: s.
+        k_max: speed at which held obstacles come closer, m/s.
+
+    Returns:
+        The sensor, and the one at whose time the link is to be posed.
+    """
+    closed_in = close_in(distance, reading, sensor_time, now, k_max)
+    sensor, moment, time = _find_moment(closed_in, reading, sensor_time, now)
+    row[_TIME] = time
+    row[_SENSOR] = sensor
+    row[_DISTANCE] = np.inf if sensor < 0 else closed_in[sensor]
+    row[_COUNT:] = count_readings(reading)
+    return sensor, moment
+
+
+@njit(cache=True)
+def _end_row(row, reading, measured, direction_L, R_WL, v_WL, limits, literal):
+    """Writes direction, k_l and k_o, from time, distance and sensor.
+
+    Args:
+        row: from `_begin_row`, with the link's speed, (15,); changed.
+        reading: (n,) `Reading`.
+        measured: distances, m, times, s, and the same of the previous samples,
+            (n,) each.
+        direction_L: from the link's centre to what is seen, in L, (3,).
+        R_WL: orientation of the link in world, (3, 3).
+        v_WL: its velocity, m/s, (3,).
+        limits: V_hmax, m/s, max_gap, s, and k_max, m/s.
+        literal: `literal` and `literal_sign`.
+    """
+    V_hmax, max_gap, k_max = limits
+    sensor = int(row[_SENSOR])
+    if sensor < 0:
+        row[_DIRECTION:_REALS] = np.nan
+        k_l = row[_LINK_SPEED]
+        k_o = k_l + V_hmax
+    else:
+        measured_speed = _calc_closing_speed(sensor, measured, max_gap, literal)
+        row[_DIRECTION:_REALS], k_l, k_o = _calc_speeds(
+            measured_speed,
+            reading[sensor] == _HELD,
+            direction_L,
+            R_WL,
+            v_WL,
+            V_hmax,
+        )
+    row[_K_L] = saturate(k_l, k_max)
+    row[_K_O] = saturate(k_o, k_max)
 
 
 def calc_link_row(
@@ -295,50 +358,34 @@ def calc_link_row(
         health, counts (4): a row of what `make_separation` takes.
     """
     scan, reading = masked_scan.scan, masked_scan.reading
-    now = scan.time
-    measured = close_in(scan.distance, reading, scan.sensor_time, now, k_max)
-    distance = geometry.calc_centre_distance(measured)
-    sensor, moment, time = _find_moment(
-        distance, reading, scan.sensor_time, now
+    distance = geometry.calc_centre_distance(scan.distance)
+    row = np.empty(_COLUMNS)
+    row[_SEQUENCE] = scan.sequence
+    row[_HEALTH] = _calc_health(config, masked_scan)
+    sensor, moment = _begin_row(
+        row, reading, distance, scan.sensor_time, scan.time, k_max
     )
+    if sensor >= 0:
+        row[_DISTANCE] += geometry.radius
     _, R_WL, v_WL = kinematics.calc(
         masked_scan.position[moment], masked_scan.velocity[moment]
     )
-    row = np.empty(_COLUMNS)
-    row[_SEQUENCE], row[_TIME], row[_SENSOR] = scan.sequence, time, sensor
-    row[_COUNT:] = count_readings(reading)
-    row[_HEALTH] = _calc_health(config, masked_scan)
-    speed = math.sqrt(v_WL[link] @ v_WL[link])
-    row[_LINK_SPEED] = speed
-    if sensor < 0:
-        row[_DISTANCE] = np.inf
-        row[_DIRECTION:_REALS] = np.nan
-        k_l, k_o = speed, speed + config.V_hmax
-    else:
-        row[_DISTANCE] = geometry.radius + distance[sensor]
-        row[_DIRECTION:_REALS], k_l, k_o = _calc_speeds(
-            _calc_closing_speed(
-                sensor,
-                geometry.calc_centre_distance(scan.distance),
-                scan.sensor_time,
-                np.array(
-                    [
-                        geometry.calc_centre_distance(
-                            masked_scan.previous_distance
-                        ),
-                        masked_scan.previous_time,
-                    ]
-                ),
-                config.max_gap,
-                (config.literal, config.literal_sign),
-            ),
-            reading[sensor] == _HELD,
-            geometry.find_direction(sensor, measured[sensor]),
-            R_WL[link],
-            v_WL[link],
-            config.V_hmax,
-        )
-    row[_K_L], row[_K_O] = saturate(k_l, k_max), saturate(k_o, k_max)
+    row[_LINK_SPEED] = math.sqrt(v_WL[link] @ v_WL[link])
+    _end_row(
+        row,
+        reading,
+        (
+            distance,
+            scan.sensor_time,
+            geometry.calc_centre_distance(masked_scan.previous_distance),
+            masked_scan.previous_time,
+        ),
+        geometry.find_direction(sensor, scan.distance[sensor]),
+        R_WL[link],
+        v_WL[link],
+        (config.V_hmax, config.max_gap, k_max),
+        (config.literal, config.literal_sign),
+    )
     return row
 
 
