@@ -56,6 +56,8 @@ def test_report_to_command(benchmark):
         command=SliderCommand(sequence=0),
         session=0,
         timestamp=0.998,
+        # Not the first report of its session.
+        count=1,
         echo=0.5,
         fraction=0.5,
         confirmed=True,

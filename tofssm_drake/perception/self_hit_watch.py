@@ -397,7 +397,7 @@ def make_looks(
 
 def _stack(messages, n, name, empty, *shape):
     """Returns an array of all rings, (N, ...); `empty` where there is none."""
-    arrays = (np.asarray(getattr(message, name)) for message in messages)
+    arrays = [getattr(message, name) for message in messages]
     return np.concatenate(
         [
             array if len(array) == n else np.full((n, *shape), empty)
@@ -740,30 +740,29 @@ class SelfHitWatch(LeafSystem):
         self, context: Context, discrete_state: DiscreteValues
     ) -> EventStatus:
         masked_scans = [port.Eval(context) for port in self._masked_scans]
-        now = context.get_discrete_state(self._state).value()
-        before = view_state(self._model, now)
-        sequence = [scan.raw.sequence for scan in masked_scans]
-        report = self._report.Eval(context)
-        carried = report[-2:]
-        has_changed = (carried != before.carried[:2]).any()
-        if sequence == before.sequence.tolist() and not has_changed:
-            return EventStatus.DidNothing()
+        # As it was until it is written.
         state = view_state(
             self._model, discrete_state.get_mutable_value(self._state)
         )
+        sequence = [scan.raw.sequence for scan in masked_scans]
+        report = self._report.Eval(context)
+        carried = report[-2:]
+        has_changed = carried.tolist() != state.carried[:2].tolist()
+        if sequence == state.sequence.tolist() and not has_changed:
+            return EventStatus.DidNothing()
         state.sequence[:] = sequence
         if has_changed:
             state.carried[:2] = carried
             state.carried[2] = context.get_time()
         if context.get_time() < state.carried[2] + _UNCERTAIN:
             return EventStatus.Succeeded()
-        moved = np.abs(report[:6] - before.position).max()
+        moved = np.abs(report[:6] - state.position).max()
         if moved < self._model.config.min_motion:
             state.rest[0] += 1.0
             if state.rest[0] % _REST_LOOKS:
                 return EventStatus.Succeeded()
         looks = make_looks(
-            masked_scans, before.time, carried, self._model.is_dead
+            masked_scans, state.time, carried, self._model.is_dead
         )
         for look in looks:
             count_look(self._model, state, look)
