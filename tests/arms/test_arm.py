@@ -35,9 +35,7 @@ SHAPES = {
 def make_scene(arm):
     """Returns the arm's plant with shapes, and the inspector."""
     scene_graph = SceneGraph()
-    plant = make_cell_plant(
-        arm=arm, scene_graph=scene_graph, sensors_per_ring=0, cell=False
-    )
+    plant = make_cell_plant(arm=arm, scene_graph=scene_graph, cell=False)
     return plant, scene_graph.model_inspector()
 
 

@@ -197,7 +197,6 @@ class TestUrArm(unittest.TestCase):
                 plant = make_cell_plant(
                     arm=mut.UrArm(model=model),
                     scene_graph=scene_graph,
-                    sensors_per_ring=0,
                     cell=False,
                 )
                 inspector = scene_graph.model_inspector()
@@ -253,9 +252,7 @@ class TestUrArm(unittest.TestCase):
             arm = mut.UrArm(model="ur3e", tool=str(path))
             arm.check("robot")
             scene_graph = SceneGraph()
-            plant = make_cell_plant(
-                arm=arm, scene_graph=scene_graph, sensors_per_ring=0
-            )
+            plant = make_cell_plant(arm=arm, scene_graph=scene_graph)
         inspector = scene_graph.model_inspector()
         body = plant.GetBodyByName("tool")
         frame_id = plant.GetBodyFrameIdOrThrow(body.index())
@@ -269,7 +266,7 @@ class TestUrArm(unittest.TestCase):
         self.assertIn("tool", robot.body_names)
 
     def test_ur10_is_the_hand_made_model(self):
-        plant = make_cell_plant(sensors_per_ring=0)
+        plant = make_cell_plant()
         self.assertTrue(plant.HasModelInstanceNamed("ur10"))
         self.assertTrue(plant.HasModelInstanceNamed("gripper"))
         context = plant.CreateDefaultContext()

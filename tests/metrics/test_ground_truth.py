@@ -12,6 +12,7 @@ from robots import CHAINS, make_panda, make_urdf
 
 from tofssm_drake.arms.arm import Arm
 from tofssm_drake.arms.cell_plant import make_cell_plant
+from tofssm_drake.arms.kinematics import ArmKinematics
 from tofssm_drake.arms.ur_arm import UrArm
 import tofssm_drake.metrics.ground_truth as mut
 from tofssm_drake.metrics.truth import TruthLayout
@@ -303,7 +304,6 @@ class TestAnyArm(unittest.TestCase):
             make_cell_plant(
                 arm=arm,
                 scene_graph=scene_graph,
-                sensors_per_ring=0,
                 cell=False,
             )
         )
@@ -318,7 +318,7 @@ class TestAnyArm(unittest.TestCase):
             plant=plant,
             inspector=scene_graph.model_inspector(),
             radii=np.array([0.15]),
-            rings=(),
+            kinematics=ArmKinematics.from_plant(plant),
         )
         n = dut.num_positions
         rng = np.random.default_rng(1)

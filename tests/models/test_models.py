@@ -2,6 +2,7 @@ import importlib.resources
 import unittest
 
 import numpy as np
+import paper_cell
 from pydrake.geometry import (
     Box,
     Capsule,
@@ -149,10 +150,8 @@ class TestModels(unittest.TestCase):
         """Sensors sit evenly on their ring and look outwards."""
         radius = {"base": 0.075, "elbow": 0.065, "tool": 0.07}
         for n in (8, 16):
-            diagram, plant, _ = make_plant(
-                "workcell/workcell.dmd.yaml", f"rings/rings_{n}.dmd.yaml"
-            )
-            context = plant.GetMyContextFromRoot(diagram.CreateDefaultContext())
+            plant = paper_cell.make_plant(count=n)
+            context = plant.CreateDefaultContext()
             for name, r in radius.items():
                 ring = plant.GetFrameByName(f"{name}_ring")
                 for j in range(n):
@@ -170,11 +169,3 @@ class TestModels(unittest.TestCase):
                         X_LS.rotation().matrix()[:, 2], [0, 0, 1], atol=1e-8
                     )
                 self.assertFalse(plant.HasFrameNamed(f"{name}_ring_{n}"))
-
-    def test_ring_models_are_as_written(self):
-        from tofssm_drake.scripts.make_ring_model import make_ring_directives
-
-        root = importlib.resources.files("tofssm_drake.models") / "rings"
-        for n in (8, 16):
-            text = (root / f"rings_{n}.dmd.yaml").read_text()
-            self.assertEqual(text, make_ring_directives(n))

@@ -9,6 +9,7 @@ from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.rendering import MultibodyPositionToGeometryPose
 from robots import make_panda
 
+from tofssm_drake.arms.cell_plant import make_cell_plant
 from tofssm_drake.arms.kinematics import ArmKinematics
 from tofssm_drake.arms.ur_arm import UrArm
 from tofssm_drake.errors import UserError
@@ -94,8 +95,8 @@ class TestTwin(unittest.TestCase):
         """Checks every frame of a UR5e and of a seven-joint arm."""
         for arm in (UrArm(model="ur5e"), make_panda()):
             scene_graph = SceneGraph()
-            plant = make_twin_plant(
-                scene_graph=scene_graph, sensors_per_ring=0, arm=arm
+            plant = make_cell_plant(
+                scene_graph=scene_graph, products=10, arm=arm
             )
             frames = [
                 plant.get_body(BodyIndex(i)).body_frame()

@@ -97,7 +97,7 @@ class TestStart(unittest.TestCase):
     def test_ur5e_that_is_modelled(self):
         """Against the published table: a UR5e's reports fit a UR5e's model."""
         kinematics = ArmKinematics.from_plant(
-            make_arm_plant(UrArm(model="ur5e")), rings=()
+            make_arm_plant(UrArm(model="ur5e"))
         )
         for q in list_joints():
             pose = calc_dh_pose(q, UR5E, (0, 0, 0.2))

@@ -125,7 +125,7 @@ class TwinPoses:
             UserError: If a frame is neither fixed in the cell, nor a part of
                 the robot, nor a product of the layout.
         """
-        kinematics = kinematics or ArmKinematics.from_plant(plant, rings=())
+        kinematics = kinematics or ArmKinematics.from_plant(plant)
         if frames is None:
             frames = _find_frames(plant, frame_ids or [])
         return TwinPoses(
