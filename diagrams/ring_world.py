@@ -129,7 +129,7 @@ def make_ring_world(scenario: Scenario) -> Diagram:
     scene_graph, plant = make_scene(builder, scenario)
     report = {}
     for name, size in (
-        ("position_measured", 6),
+        ("position_measured", ArmKinematics.from_plant(plant).num_joints),
         ("gripper_closed", 1),
         ("products_placed", 1),
     ):
@@ -152,16 +152,16 @@ def make_ring_world(scenario: Scenario) -> Diagram:
 
 def _show_robot_and_products(builder, layout, scene_graph, plant, report):
     """Poses the visible robot and products from the robot's report."""
+    kinematics = ArmKinematics.from_plant(plant)
     carrier = builder.AddNamedSystem(
         "products",
-        ProductCarrier(
-            layout=layout, kinematics=ArmKinematics.from_plant(plant)
-        ),
+        ProductCarrier(layout=layout, kinematics=kinematics),
     )
     for name, port in report.items():
         builder.Connect(port, carrier.GetInputPort(name))
     positions = builder.AddNamedSystem(
-        "positions", Multiplexer([6, 7 * len(layout)])
+        "positions",
+        Multiplexer([kinematics.num_joints, 7 * len(layout)]),
     )
     builder.Connect(report["position_measured"], positions.get_input_port(0))
     builder.Connect(carrier.get_output_port(), positions.get_input_port(1))

@@ -128,7 +128,10 @@ class SimulatedRings:
     def _compile(self, context):
         """Runs two periods so that kernels are compiled."""
         for name, size in (
-            ("position_measured", 6),
+            (
+                "position_measured",
+                self._diagram.GetInputPort("position_measured").size(),
+            ),
             ("gripper_closed", 1),
             ("products_placed", 1),
         ):

@@ -221,10 +221,10 @@ class MaskedScan(_Frozen):
     """The same sensor's previous sample, m, (n,); NaN: not VALID."""
     previous_time: np.ndarray = dc.field(default_factory=lambda: np.empty(0))
     """When that was, s, (n,)."""
-    position: np.ndarray = dc.field(default_factory=lambda: np.empty((0, 6)))
-    """Measured joints at each sensor's time, rad, (n, 6)."""
-    velocity: np.ndarray = dc.field(default_factory=lambda: np.empty((0, 6)))
-    """Measured joint speeds at each sensor's time, rad/s, (n, 6)."""
+    position: np.ndarray = dc.field(default_factory=lambda: np.empty((0, 0)))
+    """Measured joints at each sensor's time, rad or m, (n, j)."""
+    velocity: np.ndarray = dc.field(default_factory=lambda: np.empty((0, 0)))
+    """Their speeds at each sensor's time, rad/s or m/s, (n, j)."""
 
 
 @dc.dataclass(frozen=True, eq=False, kw_only=True)

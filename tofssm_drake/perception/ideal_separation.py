@@ -258,8 +258,12 @@ class IdealSeparation(LeafSystem):
         self._kinematics = kinematics
         self._radii = np.array(radii, dtype=float)
         self._name = tuple(name)
-        self._position = self.DeclareVectorInputPort("position_measured", 6)
-        self._velocity = self.DeclareVectorInputPort("velocity_measured", 6)
+        self._position = self.DeclareVectorInputPort(
+            "position_measured", kinematics.num_joints
+        )
+        self._velocity = self.DeclareVectorInputPort(
+            "velocity_measured", kinematics.num_joints
+        )
         self._skeleton = self.DeclareVectorInputPort(
             "skeleton", 6 * len(self._radii)
         )

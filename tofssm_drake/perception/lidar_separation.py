@@ -297,6 +297,8 @@ def calc_lidar_separation(
 class ToolKinematics(Protocol):
     """What LidarSeparation needs to know about the robot."""
 
+    num_joints: int
+
     def calc_sites(
         self, q: np.ndarray, qd: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
@@ -361,8 +363,12 @@ class LidarSeparation(LeafSystem):
         self._kinematics = kinematics
         self._background = np.array(background, dtype=float)
         self._scan = self.DeclareAbstractInputPort("scan", Value(LidarScan()))
-        self._position = self.DeclareVectorInputPort("position_measured", 6)
-        self._velocity = self.DeclareVectorInputPort("velocity_measured", 6)
+        self._position = self.DeclareVectorInputPort(
+            "position_measured", kinematics.num_joints
+        )
+        self._velocity = self.DeclareVectorInputPort(
+            "velocity_measured", kinematics.num_joints
+        )
         self._before = self.DeclareAbstractState(Value(_Classified()))
         self._separation = self.DeclareAbstractState(
             Value(make_empty_separation((name,)))

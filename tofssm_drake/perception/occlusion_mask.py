@@ -183,6 +183,9 @@ def make_mask_fan(config: OcclusionMaskConfig, sensor: Vl53l1x) -> np.ndarray:
 class Twin(Protocol):
     """The monitor's own model of the robot, what it holds, and its cell."""
 
+    num_joints: int
+    """Of the robot, j."""
+
     def calc(
         self, q: np.ndarray, gripper_closed: float, products_placed: float
     ) -> np.ndarray:
@@ -208,39 +211,45 @@ _STILL = 0.05
 # A shorter lag is rounding, s.
 _NO_LAG = 1e-6
 
-# Columns of the history's table.
-_TIME, _POSITION, _VELOCITY = 0, slice(1, 7), slice(7, 13)
-_GRIPPER_CLOSED, _PRODUCTS_PLACED = 13, 14
-_COLUMNS = 15
-
-REPORT_SIZE = _COLUMNS - 1
-"""Size of a robot's report: position and velocity of the joints (6 each, rad,
-rad/s), gripper closed, products placed."""
+# Columns of the history's table: time, positions and velocities of the j
+# joints, and at its end these.
+_TIME = 0
+_GRIPPER_CLOSED, _PRODUCTS_PLACED = -2, -1
 
 
-def make_robot_history(length: int) -> np.ndarray:
+def calc_report_size(num_joints: int) -> int:
+    """Returns the size of a robot's report.
+
+    It has position and velocity of the joints, rad and rad/s (m and m/s),
+    gripper closed, and products placed.
+    """
+    return 2 * num_joints + 2
+
+
+def make_robot_history(length: int, num_joints: int) -> np.ndarray:
     """Returns an empty history of the robot's reports.
 
     Args:
         length: h, number of control ticks.
+        num_joints: j.
 
     Returns:
-        Oldest first: time, s (-inf in unused rows), position, rad, (6),
-        velocity, rad/s, (6), gripper closed, products placed; (h, 15).
+        Oldest first: time, s (-inf in unused rows), position, rad or m, (j),
+        velocity, (j), gripper closed, products placed; (h, 3 + 2 j).
     """
-    table = np.zeros((length, _COLUMNS))
+    table = np.zeros((length, 1 + calc_report_size(num_joints)))
     table[:, _TIME] = -np.inf
     return table
 
 
 @njit(cache=True)
 def push_report(table, time, report):
-    """Adds a report to a history's table, (h, 15), and drops the oldest.
+    """Adds a report to a history's table and drops the oldest.
 
     Args:
         table: changed in place.
         time: of the report, s.
-        report: the other columns, (14,).
+        report: the other columns, (2 + 2 j,).
     """
     table[:-1] = table[1:]
     table[-1, 0] = time
@@ -262,7 +271,7 @@ def interpolate_reports(table, time):
     result = table[i].copy()
     if i < last and table[i, 0] <= time:
         s = (time - table[i, 0]) / (table[i + 1, 0] - table[i, 0])
-        for j in range(13):
+        for j in range(table.shape[1] - 2):
             result[j] += s * (table[i + 1, j] - table[i, j])
     return result
 
@@ -397,8 +406,9 @@ def _report_motion(samples, table, n, motion):
         table: the robot's reports, see `make_robot_history`.
         n: number of sensors of a ring.
         motion: result, measured joints, rad, and their speeds, rad/s, both
-            (N, 6); (2, N, 6). 0 where the time is not finite.
+            (N, j); (2, N, j). 0 where the time is not finite.
     """
+    joints = motion.shape[2]
     for first in range(0, samples.shape[1], n):
         speed = 0.0
         for i in range(first, first + n):
@@ -410,8 +420,8 @@ def _report_motion(samples, table, n, motion):
             motion[:, i] = 0.0
             if math.isfinite(time):
                 report = interpolate_reports(table, time)
-                motion[0, i] = report[1:7]
-                motion[1, i] = report[7:13]
+                motion[0, i] = report[1 : joints + 1]
+                motion[1, i] = report[joints + 1 : 2 * joints + 1]
                 for v in motion[1, i]:
                     speed = max(speed, abs(v))
         samples[_MOVES, first : first + n] = speed > _STILL
@@ -480,7 +490,7 @@ def _begin_look(samples, table, shift, rest, which, report):
         shift: how much later than at the sample to look at the robot, s.
         rest: the sensors to choose from, (N,); the chosen ones are taken out.
         which: result, the chosen ones, (N,).
-        report: result, the robot's report for their time, (15,).
+        report: result, the robot's report for their time, (3 + 2 j,).
 
     Returns:
         Whether any are left.
@@ -531,7 +541,7 @@ def _remember(
         report: what the robot reported last, (15,).
         is_dead: whether each sensor is declared dead, (N,).
         memory: the settings of SensorMemoryConfig in their order.
-        motion: of the robot, (2, N, 6); HELD sensors get that of now.
+        motion: of the robot, (2, N, j); HELD sensors get that of now.
     """
     n = verdict.shape[1]
     has_lag = np.zeros(n, dtype=np.bool_)
@@ -573,14 +583,15 @@ def _remember(
         memory[0],
         memory[1],
     )
+    joints = motion.shape[2]
     for i in range(n):
         lag = samples[_SENSOR_TIME, i] - samples[_HEALTHY_TIME, i]
         if verdict[_FAULT, i] == _NO_FAULT and lag > memory[3]:
             verdict[_FAULT, i] = _UNRELIABLE
         if verdict[_READING, i] != _HELD:
             continue
-        motion[0, i] = report[_POSITION]
-        motion[1, i] = report[_VELOCITY]
+        motion[0, i] = report[1 : joints + 1]
+        motion[1, i] = report[joints + 1 : 2 * joints + 1]
         if is_nearest[i]:
             samples[_COUNTED, i] = 0.0
             samples[_SENSOR_TIME, i] = time
@@ -638,7 +649,7 @@ def mask_scans(
     tables = _Tables(
         samples=_make_no_samples(num_sensors).copy(),
         verdict=np.zeros((_VERDICT_ROWS, num_sensors), dtype=np.int64),
-        motion=np.empty((2, num_sensors, 6)),
+        motion=np.empty((2, num_sensors, (table.shape[1] - 3) // 2)),
         sensors_per_ring=n,
     )
     newest = [
@@ -680,7 +691,7 @@ class _Tables(NamedTuple):
     verdict: np.ndarray
     """Readings, faults, numbers of samples in a row, (4, N)."""
     motion: np.ndarray
-    """Joints, rad, and their speeds, rad/s, at the samples, (2, N, 6)."""
+    """Joints, rad, and their speeds, rad/s, at the samples, (2, N, j)."""
     sensors_per_ring: int
 
 
@@ -705,10 +716,10 @@ class _View(NamedTuple):
         Returns:
             Self-hits, m, (N, k), and whether any sensors are left.
         """
-        report = np.empty(_COLUMNS)
+        report = np.empty(self.table.shape[1])
         more = _begin_look(samples, self.table, shift, rest, which, report)
         X_WF = self.twin.calc(
-            report[_POSITION],
+            report[1 : report.size // 2],
             report[_GRIPPER_CLOSED],
             report[_PRODUCTS_PLACED],
         )
@@ -941,7 +952,7 @@ class OcclusionMask(LeafSystem):
         - masked_scan_elbow
         - masked_scan_tool
 
-    `robot_report` (vector, REPORT_SIZE) is the robot's report. It is remembered
+    `robot_report` is the robot's report (`calc_report_size`). It is remembered
     at every control tick; new scans of rings are classified with it
     (`mask_scans`). Nothing of the simulated world is used: the rays are cast on
     a twin that is posed from the measured joints. All rings share one system,
@@ -1005,12 +1016,14 @@ class OcclusionMask(LeafSystem):
             self.DeclareAbstractInputPort(f"scan_{ring}", Value(RingScan()))
             for ring in name
         ]
-        self._report = self.DeclareVectorInputPort("robot_report", REPORT_SIZE)
+        self._report = self.DeclareVectorInputPort(
+            "robot_report", calc_report_size(twin.num_joints)
+        )
         # The history includes every sample that is not stale, and the look
         # back from it.
         length = math.ceil((config.max_age + config.time_margin) / period) + 2
         self._history = self.DeclareDiscreteState(
-            make_robot_history(length).ravel()
+            make_robot_history(length, twin.num_joints).ravel()
         )
         # Of the masked scans: cheaper to read than from the messages.
         self._sequence = self.DeclareDiscreteState([-1.0] * len(name))
@@ -1027,7 +1040,7 @@ class OcclusionMask(LeafSystem):
     def _remember(self, context: Context, discrete_state: DiscreteValues):
         history = discrete_state.get_mutable_value(self._history)
         push_report(
-            history.reshape(-1, _COLUMNS),
+            history.reshape(-1, 1 + self._report.size()),
             context.get_time(),
             self._report.Eval(context),
         )
@@ -1048,7 +1061,7 @@ class OcclusionMask(LeafSystem):
             for scan, was in zip(scans, before, strict=True)
         ]
         history = context.get_discrete_state(self._history).value()
-        table = history.reshape(-1, _COLUMNS).copy()
+        table = history.reshape(-1, 1 + self._report.size()).copy()
         push_report(table, context.get_time(), self._report.Eval(context))
         masked_scans = mask_scans(
             self._config,

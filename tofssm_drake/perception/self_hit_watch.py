@@ -31,9 +31,9 @@ from tofssm_drake.messages import (
     make_empty_separation,
 )
 from tofssm_drake.perception.occlusion_mask import (
-    REPORT_SIZE,
     OcclusionMaskConfig,
     Twin,
+    calc_report_size,
 )
 from tofssm_drake.perception.self_hits import (
     MISPLACED,
@@ -232,7 +232,7 @@ class SelfHitState:
     expectation: np.ndarray
     """What was expected of each sensor at its last look, (3, N)."""
     position: np.ndarray
-    """Joints when each sensor last counted for misfits, rad, (N, 6)."""
+    """Joints when each sensor last counted for misfits, rad, (N, j)."""
     time: np.ndarray
     """Of each sensor's last sample that counted, s, (N,); -inf: none."""
     sequence: np.ndarray
@@ -244,7 +244,7 @@ class SelfHitState:
 
 
 @functools.lru_cache(maxsize=8)
-def _lay_out(rings, sensors, tests):
+def _lay_out(rings, sensors, tests, joints):
     """Returns the place of each field in the vector, and its shape."""
     shapes = {
         "sensor_alarm": (sensors,),
@@ -257,7 +257,7 @@ def _lay_out(rings, sensors, tests):
         "ride_last": (sensors, 3),
         "ride_unfit": (sensors,),
         "expectation": (3, sensors),
-        "position": (sensors, 6),
+        "position": (sensors, joints),
         "time": (sensors,),
         "sequence": (rings,),
         "carried": (3,),
@@ -276,7 +276,7 @@ def _lay_out(rings, sensors, tests):
 def _lay_out_model(model):
     m = len(model.name)
     tests = m * len(model.orders) + len(model.swaps) + len(model.misfits)
-    return _lay_out(m, model.believed.num_bundles, tests)
+    return _lay_out(m, model.believed.num_bundles, tests, model.twin.num_joints)
 
 
 def make_state_vector(model: SelfHitModel) -> np.ndarray:
@@ -322,9 +322,9 @@ class Look:
     status: np.ndarray
     """Range status; "no new data" for samples of another time, (N,)."""
     q: np.ndarray
-    """Measured joints, rad, (6,)."""
+    """Measured joints, rad, (j,)."""
     qd: np.ndarray
-    """Their speeds, rad/s, (6,)."""
+    """Their speeds, rad/s, (j,)."""
     spread: float
     """Greatest difference of a sample's time from the look's, s."""
     gripper_closed: float
@@ -360,9 +360,10 @@ def make_looks(
             ("status", STATUS_NO_NEW_DATA),
         )
     )
+    joints = max(masked.position.shape[1] for masked in masked_scans)
     motion = np.stack(
         [
-            _stack(masked_scans, n, name, 0.0, 6)
+            _stack(masked_scans, n, name, 0.0, joints)
             for name in ("position", "velocity")
         ]
     )
@@ -712,7 +713,9 @@ class SelfHitWatch(LeafSystem):
             )
             for ring in model.name
         ]
-        self._report = self.DeclareVectorInputPort("robot_report", REPORT_SIZE)
+        self._report = self.DeclareVectorInputPort(
+            "robot_report", calc_report_size(model.twin.num_joints)
+        )
         vector = make_state_vector(model)
         state = view_state(model, vector)
         # They come first.
@@ -756,7 +759,7 @@ class SelfHitWatch(LeafSystem):
             state.carried[2] = context.get_time()
         if context.get_time() < state.carried[2] + _UNCERTAIN:
             return EventStatus.Succeeded()
-        moved = np.abs(report[:6] - state.position).max()
+        moved = np.abs(report[: state.position.shape[1]] - state.position).max()
         if moved < self._model.config.min_motion:
             state.rest[0] += 1.0
             if state.rest[0] % _REST_LOOKS:

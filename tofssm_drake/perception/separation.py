@@ -130,6 +130,8 @@ def make_ring_geometry(X_LS: Sequence) -> RingGeometry:
 class LinkKinematics(Protocol):
     """What TofSeparation needs to know about the robot."""
 
+    num_joints: int
+
     def calc(
         self, q: np.ndarray, qd: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -102,6 +102,11 @@ class TwinPoses:
     slots: np.ndarray
     frames: np.ndarray
 
+    @property
+    def num_joints(self) -> int:
+        """Number of the robot's joints."""
+        return len(self.chain.slides)
+
     @staticmethod
     def from_plant(
         plant: MultibodyPlant,
