@@ -82,7 +82,7 @@ class Scene:
             config=sensor, caster=self.caster, mounts=self.mounts
         )
         self.max_range = float(self.bundles.max_range[0])
-        layout = ProductLayout.from_config(scenario.program)
+        layout = ProductLayout.from_config(scenario.task)
         kinematics = ArmKinematics.from_plant(self.plant)
         others = self.caster.frame_ids[: -len(avatar.frame_ids)]
         assert self.caster.frame_ids == [*others, *avatar.frame_ids]
@@ -90,7 +90,7 @@ class Scene:
         self._twin_poses = TwinPoses.from_plant(
             self.plant, layout=layout, frame_ids=others
         )
-        path = make_program_path(scenario.program, kinematics)
+        path = make_program_path(scenario.task, kinematics)
         # Scans that follow one another, from the middle of the task.
         times = 0.3 * path.duration + np.arange(NUM_STATES) * sensor.period
         self.states = []

@@ -53,15 +53,16 @@ from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import ConstantVectorSource
 from tofssm_drake.diagrams.scenario import load_scenario
 from tofssm_drake.arms.kinematics import ArmKinematics
-from tofssm_drake.tasks.program import PickAndPlaceProgram
+from tofssm_drake.tasks.program import TaskProgram, make_program_path
 from tofssm_drake.arms.sim_arm import make_sim_arm
 from tofssm_drake.arms.cell_plant import make_cell_plant
 scenario = load_scenario(name=sys.argv[1], text=sys.argv[2])
 builder = DiagramBuilder()
 program = builder.AddSystem(
-    PickAndPlaceProgram(
-        config=scenario.program,
-        kinematics=ArmKinematics.from_plant(make_cell_plant()),
+    TaskProgram(
+        path=make_program_path(
+            scenario.task, ArmKinematics.from_plant(make_cell_plant())
+        ),
         period=scenario.control_period,
     )
 )

@@ -14,6 +14,7 @@ from tofssm_drake.diagrams.held_connections import HeldRings, HeldRobot
 from tofssm_drake.diagrams.scenario import Scenario
 from tofssm_drake.diagrams.sensors.rings import find_rings
 from tofssm_drake.diagrams.simulation import make_simulator
+from tofssm_drake.diagrams.tasks import make_task_path
 from tofssm_drake.diagrams.workcell import Workcell, make_workcell
 from tofssm_drake.messages import (
     RingHealth,
@@ -28,7 +29,6 @@ from tofssm_drake.rtde.slider import (
     SliderPhase,
     SliderState,
 )
-from tofssm_drake.tasks.program import make_program_path
 from tofssm_drake.visualization.health_board import (
     BLIND,
     FAULT,
@@ -254,8 +254,10 @@ class HardwareLoop:
         """Runs a few ticks so that kernels are compiled."""
         scenario = self._scenario
         rings = find_rings(scenario.sensors)
-        path = make_program_path(
-            scenario.program, ArmKinematics.from_plant(self._station.plant)
+        path = make_task_path(
+            scenario.task,
+            ArmKinematics.from_plant(self._station.plant),
+            scenario.robot,
         )
         q = path.calc_motion(0.0)[0]
         self._station.robot.report = RobotReport(

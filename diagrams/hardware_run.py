@@ -22,6 +22,7 @@ from tofssm_drake.diagrams.hardware_loop import (
     TickResult,
 )
 from tofssm_drake.diagrams.scenario import Scenario
+from tofssm_drake.diagrams.tasks import make_task_path
 from tofssm_drake.errors import UserError, require
 from tofssm_drake.messages import RobotReport, SliderCommand
 from tofssm_drake.recording.run_record import RecordedTick, RunRecorder
@@ -36,7 +37,6 @@ from tofssm_drake.rtde.robot_checks import RobotChecks
 from tofssm_drake.rtde.robot_clock import RobotClock
 from tofssm_drake.rtde.robot_connection import RobotConnection
 from tofssm_drake.rtde.rtde_fields import SafetyMode, name_of
-from tofssm_drake.tasks.program import make_program_path
 
 # One wait for a report, s; then signals are checked.
 _WAIT = 0.05
@@ -87,7 +87,7 @@ def require_ready(
     kinematics = ArmKinematics.from_plant(plant)
     start_model_match(model or ModelConfig(), kinematics, report)
     q = report.position
-    path = make_program_path(scenario.program, kinematics)
+    path = make_task_path(scenario.task, kinematics, scenario.robot)
     positions = np.array(
         [
             path.calc_motion(t)[0]

@@ -11,6 +11,7 @@ from tofssm_drake.diagrams.ring_world import add_ring_world, make_scene
 from tofssm_drake.diagrams.scenario import Scenario
 from tofssm_drake.diagrams.sensors.rings import find_rings
 from tofssm_drake.diagrams.station import Station
+from tofssm_drake.diagrams.tasks import make_task_path
 from tofssm_drake.laws.sensing_problem import SensingProblem
 from tofssm_drake.ringlink.ring_systems import (
     RingInterfaceSystem,
@@ -24,7 +25,6 @@ from tofssm_drake.rtde.rtde_systems import (
     SliderControl,
 )
 from tofssm_drake.rtde.slider import SliderConfig
-from tofssm_drake.tasks.program import make_program_path
 
 # Ports of the receiver that are the station's, in order.
 _REPORTED = (
@@ -103,7 +103,7 @@ def make_hardware_station(
         builder,
         robot,
         RobotReportReceiver(
-            gripper_output=gripper_output, products=scenario.program.products
+            gripper_output=gripper_output, products=scenario.task.products
         ),
     )
     if rings is not None:
@@ -131,7 +131,9 @@ def make_hardware_station(
     builder.ExportOutput(world.people.skeleton, "skeleton")
     diagram = builder.Build()
     diagram.set_name("station")
-    path = make_program_path(scenario.program, ArmKinematics.from_plant(plant))
+    path = make_task_path(
+        scenario.task, ArmKinematics.from_plant(plant), scenario.robot
+    )
     return HardwareStation(
         diagram=diagram,
         plant=plant,

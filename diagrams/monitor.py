@@ -24,13 +24,12 @@ from tofssm_drake.diagrams.sensors.rings import (
     group_rings,
     make_group_self_hits,
 )
+from tofssm_drake.diagrams.tasks import find_layout, make_task_path
 from tofssm_drake.laws.speed_fraction import SpeedFractionTrajectory
 from tofssm_drake.perception.self_hit_coverage import (
     calc_verifiable_share,
     tell_coverage,
 )
-from tofssm_drake.tasks.products import ProductLayout
-from tofssm_drake.tasks.program import make_program_path
 
 
 def make_monitor(
@@ -113,13 +112,13 @@ def make_twin(
         arm=scenario.robot,
         scene_graph=scene_graph,
         sensors=scenario.sensors,
-        products=scenario.program.products,
+        products=scenario.task.products,
         meshes=scenario.robot_meshes,
     )
     kinematics = ArmKinematics.from_plant(
         plant, links=find_link_frames(scenario.sensors)
     )
-    path = make_program_path(scenario.program, kinematics)
+    path = make_task_path(scenario.task, kinematics, scenario.robot)
     return Monitor(
         builder=builder,
         settings=MonitorSettings(
@@ -133,7 +132,7 @@ def make_twin(
         scene_graph=scene_graph,
         plant=plant,
         kinematics=kinematics,
-        layout=ProductLayout.from_config(scenario.program),
+        layout=find_layout(scenario.task),
         person_radii=person_radii,
     )
 
@@ -183,7 +182,7 @@ def tell_self_hit_coverage(scenario: Scenario) -> list[str]:
     if not rings or not scenario.self_hits.enabled:
         return []
     monitor = make_twin(DiagramBuilder(), scenario)
-    path = make_program_path(scenario.program, monitor.kinematics)
+    path = make_task_path(scenario.task, monitor.kinematics, scenario.robot)
     return [
         line
         for group in group_rings(rings)

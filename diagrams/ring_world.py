@@ -20,8 +20,9 @@ from tofssm_drake.arms.kinematics import ArmKinematics
 from tofssm_drake.diagrams.people import People, add_people
 from tofssm_drake.diagrams.scenario import Scenario
 from tofssm_drake.diagrams.sensors import World, add_sensors_to_world
+from tofssm_drake.diagrams.tasks import find_layout
 from tofssm_drake.raycast.ray_caster import RayCaster
-from tofssm_drake.tasks.products import ProductCarrier, ProductLayout
+from tofssm_drake.tasks.products import ProductCarrier
 
 
 @dc.dataclass(frozen=True, eq=False, kw_only=True)
@@ -44,7 +45,7 @@ def make_scene(builder: DiagramBuilder, scenario: Scenario):
     plant = make_cell_plant(
         arm=scenario.robot,
         sensors=scenario.sensors,
-        products=scenario.program.products,
+        products=scenario.task.products,
         scene_graph=scene_graph,
         meshes=scenario.robot_meshes,
     )
@@ -81,7 +82,7 @@ def add_ring_world(
         "gripper_closed": gripper_closed,
         "products_placed": products_placed,
     }
-    layout = ProductLayout.from_config(scenario.program)
+    layout = find_layout(scenario.task)
     _show_robot_and_products(builder, layout, scene_graph, plant, report)
     people = add_people(
         builder,

@@ -63,7 +63,7 @@ def make_run_metadata(
             for name, person in scenario.people.items()
         )
         or "nobody",
-        "products": scenario.program.products,
+        "products": scenario.task.products,
         "sensors_per_ring": {n: ring.num_sensors for n, ring in rings.items()},
         "dead_sensors": {
             n: ring.dead_sensors

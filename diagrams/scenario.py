@@ -38,7 +38,8 @@ from tofssm_drake.people.walk import GeneratedWalk
 from tofssm_drake.perception.occlusion_mask import OcclusionMaskConfig
 from tofssm_drake.perception.self_hits import SelfHitConfig
 from tofssm_drake.perception.separation import SeparationConfig
-from tofssm_drake.tasks.program import ProgramConfig
+from tofssm_drake.tasks.program import PickAndPlace
+from tofssm_drake.tasks.waypoints import Waypoints
 
 _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 
@@ -50,6 +51,7 @@ class Scenario:
     RENAMED: ClassVar[dict[str, str]] = {
         "ssm": "law",
         "human": "people.<name>",
+        "program": "task",
         "sensors_per_ring": "sensors.<ring>.count",
         "sensing": "sensors, as in the scenarios MotionCapture, PlanarLidar",
         "rings": "sensors.<ring>.sensor",
@@ -83,7 +85,7 @@ class Scenario:
     driver: Simulated = dc.field(default_factory=Simulated)
 
     # The task: where the products are and how fast the arm moves.
-    program: ProgramConfig = dc.field(default_factory=ProgramConfig)
+    task: PickAndPlace | Waypoints = dc.field(default_factory=PickAndPlace)
 
     # Who is in the cell, by name.
     people: dict[str, GeneratedWalk | BvhRecording | CustomMotion] = dc.field(

@@ -11,7 +11,8 @@ from tofssm_drake.arms.sim_arm import make_sim_arm
 from tofssm_drake.diagrams.people import People
 from tofssm_drake.diagrams.ring_world import add_ring_world, make_scene
 from tofssm_drake.diagrams.scenario import Scenario
-from tofssm_drake.tasks.program import PickAndPlaceProgram
+from tofssm_drake.diagrams.tasks import make_task_path
+from tofssm_drake.tasks.program import TaskProgram
 
 
 @dc.dataclass(frozen=True, eq=False, kw_only=True)
@@ -68,9 +69,8 @@ def make_station(scenario: Scenario) -> Station:
 
     program = builder.AddNamedSystem(
         "program",
-        PickAndPlaceProgram(
-            config=scenario.program,
-            kinematics=kinematics,
+        TaskProgram(
+            path=make_task_path(scenario.task, kinematics, scenario.robot),
             period=scenario.control_period,
         ),
     )

@@ -404,7 +404,7 @@ def run(
         )
         # The first step loads the kernels, or compiles them for half a minute.
         task = bar.add_task(
-            "preparing", total=scenario.program.products, time=0.0, factor=0.0
+            "preparing", total=scenario.task.products, time=0.0, factor=0.0
         )
         while True:
             progress = run.advance()
@@ -425,7 +425,7 @@ def run(
 def summarize(scenario: Scenario, samples: Samples, progress: Progress) -> dict:
     """Returns the content of summary.json."""
     metadata = samples.metadata
-    return calc_summary(samples, products=scenario.program.products) | {
+    return calc_summary(samples, products=scenario.task.products) | {
         "interrupted": metadata["interrupted"],
         "real_time_factor": progress.real_time_factor,
         "seed": scenario.random_seed,

@@ -79,7 +79,7 @@ def finish_scenario(name="Default", text=""):
     key = json.dumps(dump_scenario(scenario))
     if key not in _FINISHED:
         workcell = make_workcell(scenario)
-        looker = Looker(workcell, scenario.program.products)
+        looker = Looker(workcell, scenario.task.products)
         run = Run(workcell=workcell, scenario=scenario)
         looks = []
         finished = False
@@ -94,7 +94,7 @@ def finish_scenario(name="Default", text=""):
 def run_scenario(name="Default", text=""):
     """Runs a scenario to its end; returns its samples and its summary."""
     scenario, samples, _ = finish_scenario(name, text)
-    return samples, calc_summary(samples, products=scenario.program.products)
+    return samples, calc_summary(samples, products=scenario.task.products)
 
 
 @pytest.fixture(scope="session")

@@ -11,7 +11,7 @@ import tofssm_drake.arms.cell_plant as mut
 from tofssm_drake.arms.kinematics import ArmKinematics
 from tofssm_drake.errors import UserError
 from tofssm_drake.sensors.ring import Ring
-from tofssm_drake.tasks.program import ProgramConfig, make_program_path
+from tofssm_drake.tasks.program import PickAndPlace, make_program_path
 
 
 class TestCellPlant(unittest.TestCase):
@@ -84,7 +84,7 @@ class TestPathIsClear(unittest.TestCase):
         context = diagram.CreateDefaultContext()
         inspector = scene_graph.model_inspector()
         path = make_program_path(
-            ProgramConfig(), ArmKinematics.from_plant(plant)
+            PickAndPlace(), ArmKinematics.from_plant(plant)
         )
         nearest = np.inf
         for s in np.arange(0, path.duration, 0.05):

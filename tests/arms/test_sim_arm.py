@@ -21,8 +21,8 @@ import tofssm_drake.arms.sim_arm as mut
 from tofssm_drake.arms.ur_arm import UrArm
 from tofssm_drake.errors import UserError
 from tofssm_drake.tasks.program import (
-    PickAndPlaceProgram,
-    ProgramConfig,
+    PickAndPlace,
+    TaskProgram,
     make_program_path,
 )
 
@@ -45,9 +45,7 @@ def run(duration, *, time_step=0.004, fraction=1.0):
     """Returns logs of position commanded, measured, velocity, torque."""
     builder = DiagramBuilder()
     program = builder.AddSystem(
-        PickAndPlaceProgram(
-            config=ProgramConfig(), kinematics=make_kinematics()
-        )
+        TaskProgram(path=make_program_path(PickAndPlace(), make_kinematics()))
     )
     robot, _ = mut.make_sim_arm(
         config=mut.Simulated(time_step=time_step),
@@ -206,7 +204,7 @@ class TestAnyArm(unittest.TestCase):
         """Pick and place nearer to the base than the UR10's, one product."""
         arm = UrArm(model="ur5e")
         kinematics = ArmKinematics.from_plant(make_arm_plant(arm))
-        config = ProgramConfig(
+        config = PickAndPlace(
             products=1,
             hover_radius=0.55,
             sweep_speed=1.0,
@@ -224,7 +222,7 @@ class TestAnyArm(unittest.TestCase):
         self.assertTrue(np.all(motions[:, 0] <= limits.upper))
         builder = DiagramBuilder()
         program = builder.AddSystem(
-            PickAndPlaceProgram(config=config, kinematics=kinematics)
+            TaskProgram(path=make_program_path(config, kinematics))
         )
         robot, _ = mut.make_sim_arm(
             config=mut.Simulated(),

@@ -27,7 +27,7 @@ def position():
     scenario = load_scenario()
     station = make_station(scenario)
     path = make_program_path(
-        scenario.program, ArmKinematics.from_plant(station.plant)
+        scenario.task, ArmKinematics.from_plant(station.plant)
     )
     return path.calc_motion(0.0)[0]
 

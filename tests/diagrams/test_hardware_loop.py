@@ -42,7 +42,7 @@ class Bench:
     def __init__(self, loop, scenario):
         self.loop = loop
         loop_path = make_program_path(
-            scenario.program,
+            scenario.task,
             ArmKinematics.from_plant(loop.workcell.station.plant),
         )
         self.position = loop_path.calc_motion(0.0)[0]

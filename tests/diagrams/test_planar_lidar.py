@@ -37,7 +37,7 @@ class Cell:
             frame_ids=self.caster.frame_ids,
             kinematics=self.kinematics,
         )
-        self.path = make_program_path(self.scenario.program, self.kinematics)
+        self.path = make_program_path(self.scenario.task, self.kinematics)
 
     def scan(self, s=0.0, closed=0.0, placed=0.0):
         """Casts the rays as the cell is at a path time."""

@@ -71,7 +71,7 @@ class TestLoad(unittest.TestCase):
         self.assertEqual(scenario.law.configuration, "vr")
         self.assertEqual(scenario.law.C_dC, 0.4)
         self.assertEqual(scenario.law.T_stop, mut.Scenario().law.T_stop)
-        self.assertEqual(scenario.program, mut.Scenario().program)
+        self.assertEqual(scenario.task, mut.Scenario().task)
 
     def test_text_overrides_file_and_keeps_the_rest(self):
         scenario = self.load(

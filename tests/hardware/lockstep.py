@@ -142,7 +142,7 @@ class Cell:
     def __init__(self, *, checks_model: bool = True):
         self.scenario = load_scenario(text="{people: {visitor: null}}")
         self.robot = make_robot(
-            program=self.scenario.program,
+            program=self.scenario.task,
             start="heartbeat",
             watchdog_timeout=0.2,
             loop=True,

@@ -8,7 +8,7 @@ from paper_cell import find_kinematics, make_plant
 
 from tofssm_drake.rtde.rtde_server import Faults, RtdeServer
 from tofssm_drake.rtde.simulated_ur import SimulatedUr, SimulatedUrConfig
-from tofssm_drake.tasks.program import ProgramConfig, make_program_path
+from tofssm_drake.tasks.program import PickAndPlace, make_program_path
 
 
 @functools.cache
@@ -18,14 +18,12 @@ def make_kinematics():
 
 @functools.cache
 def make_path(products=2):
-    return make_program_path(
-        ProgramConfig(products=products), make_kinematics()
-    )
+    return make_program_path(PickAndPlace(products=products), make_kinematics())
 
 
 def make_robot(**settings):
     """Makes a robot whose program has two products."""
-    settings.setdefault("program", ProgramConfig(products=2))
+    settings.setdefault("program", PickAndPlace(products=2))
     return SimulatedUr(
         config=SimulatedUrConfig(**settings),
         path=make_path(settings["program"].products),

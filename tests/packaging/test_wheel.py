@@ -28,7 +28,7 @@ scenario = load_scenario()
 for name in ("Default", "SixteenSensors"):
     plant = make_cell_plant(
         sensors=load_scenario(name=name).sensors,
-        products=scenario.program.products,
+        products=scenario.task.products,
         scene_graph=SceneGraph(),
     )
     print(plant.num_bodies(), plant.num_positions())

@@ -50,7 +50,7 @@ from tofssm_drake.sensors.vl53l1x import (
     measure,
 )
 from tofssm_drake.tasks.products import ProductLayout, calc_product_positions
-from tofssm_drake.tasks.program import ProgramConfig, make_program_path
+from tofssm_drake.tasks.program import PickAndPlace, make_program_path
 
 
 class Twin:
@@ -65,7 +65,7 @@ class Twin:
             mut.find_ring_mount(self.plant, inspector, ring) for ring in RINGS
         ]
         self.kinematics = find_kinematics(self.plant)
-        config = ProgramConfig()
+        config = PickAndPlace()
         self.layout = ProductLayout.from_config(config)
         self.path = make_program_path(config, self.kinematics)
         self.bundles = make_mask_bundles(

@@ -77,7 +77,7 @@ class World:
         scenario = load_scenario()
         self.poses = TwinPoses.from_plant(
             plant,
-            layout=ProductLayout.from_config(scenario.program),
+            layout=ProductLayout.from_config(scenario.task),
             frame_ids=others,
         )
 
@@ -124,7 +124,7 @@ def make_model_and_path():
     (group,) = group_rings(scenario.sensors)
     return (
         make_group_self_hits(twin, group),
-        make_program_path(scenario.program, twin.kinematics),
+        make_program_path(scenario.task, twin.kinematics),
     )
 
 

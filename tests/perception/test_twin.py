@@ -15,7 +15,7 @@ from tofssm_drake.arms.ur_arm import UrArm
 from tofssm_drake.errors import UserError
 import tofssm_drake.perception.twin as mut
 from tofssm_drake.tasks.products import ProductLayout, calc_product_positions
-from tofssm_drake.tasks.program import ProgramConfig, make_program_path
+from tofssm_drake.tasks.program import PickAndPlace, make_program_path
 
 
 @functools.cache
@@ -34,7 +34,7 @@ class TestTwin(unittest.TestCase):
     def setUpClass(cls):
         cls.plant, cls.scene_graph = make_twin()
         cls.kinematics = ArmKinematics.from_plant(cls.plant)
-        cls.layout = ProductLayout.from_config(ProgramConfig())
+        cls.layout = ProductLayout.from_config(PickAndPlace())
 
     def test_poses_against_plant(self):
         plant = self.plant
@@ -126,7 +126,7 @@ class TestTwin(unittest.TestCase):
                 )
 
     def test_foreign_body_is_an_error(self):
-        layout = ProductLayout.from_config(ProgramConfig(products=3))
+        layout = ProductLayout.from_config(PickAndPlace(products=3))
         body = self.plant.GetBodyByName(
             "product", self.plant.GetModelInstanceByName("product_5")
         )
@@ -152,8 +152,8 @@ class TestSensorsAreOutside(unittest.TestCase):
         diagram = builder.Build()
         context = diagram.CreateDefaultContext()
         kinematics = ArmKinematics.from_plant(plant)
-        layout = ProductLayout.from_config(ProgramConfig())
-        path = make_program_path(ProgramConfig(), kinematics)
+        layout = ProductLayout.from_config(PickAndPlace())
+        path = make_program_path(PickAndPlace(), kinematics)
         frames = [
             plant.GetFrameByName(f"{name}_ring_{j}")
             for name in RINGS

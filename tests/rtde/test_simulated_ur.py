@@ -14,7 +14,7 @@ from tofssm_drake.rtde.rtde_fields import (
 )
 from tofssm_drake.rtde.rtde_protocol import Recipe
 import tofssm_drake.rtde.simulated_ur as mut
-from tofssm_drake.tasks.program import ProgramConfig
+from tofssm_drake.tasks.program import PickAndPlace
 
 
 def calc_dh_pose(q, end=6):
@@ -210,7 +210,7 @@ class TestMotion(unittest.TestCase):
             self.assertLess(gap, 2.1 * 0.008)
 
     def test_loop(self):
-        robot = make_robot(loop=True, program=ProgramConfig(products=1))
+        robot = make_robot(loop=True, program=PickAndPlace(products=1))
         for _ in range(int(2.2 * robot._path.duration * robot.rate)):
             robot.step()
         self.assertEqual(robot.runtime_state, RuntimeState.PLAYING)

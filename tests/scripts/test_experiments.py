@@ -26,7 +26,7 @@ import tofssm_drake.scripts.main as main
 SMALL = (
     *("--sensing", "ideal", "--sensing", "lidar", "--ssm", "vo"),
     *("--trials", "1", "--duration", "0.4"),
-    *("--scenario-text", "{program: {products: 1}}"),
+    *("--scenario-text", "{task: {products: 1}}"),
 )
 KEYS = ["alone", "ideal-vo-1", "lidar-vo-1"]
 COMMAND = (sys.executable, "-m", "tofssm_drake.scripts.main", "experiments")
@@ -424,7 +424,7 @@ class TestBadInput:
     @pytest.mark.parametrize(
         ("arguments", "message"),
         [
-            (("--scenario-text", "{}"), "scenario.program.products: 1 then"),
+            (("--scenario-text", "{}"), "scenario.task.products: 1 then"),
             (("--seed", "1"), "seed: 0 then, 1 now"),
             (("--duration", "0.5"), "scenario.simulation_duration: 0.4 then"),
         ],

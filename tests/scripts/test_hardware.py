@@ -43,7 +43,7 @@ import tofssm_drake.scripts.hardware_status as hardware_status
 from tofssm_drake.scripts.main import run
 from tofssm_drake.tasks.program import make_program_path
 
-_NOBODY = "{program: {products: 2}, people: {visitor: null}}"
+_NOBODY = "{task: {products: 2}, people: {visitor: null}}"
 
 
 def run_hardware(server, *options, text=_NOBODY, rings="virtual", err=None):
@@ -129,7 +129,7 @@ class TestHardware(unittest.TestCase):
             code, out, err = run_hardware(
                 server,
                 *("--record", path, "--out", self.folder / "out"),
-                text="{program: {products: 2}}",
+                text="{task: {products: 2}}",
             )
             self.assertEqual(code, 130, err)
             self.assertIn("interrupted; slider set to 0", out)
@@ -766,7 +766,7 @@ class TestReady(unittest.TestCase):
         cls.scenario = load_scenario()
         cls.plant = make_cell_plant()
         path = make_program_path(
-            cls.scenario.program, ArmKinematics.from_plant(cls.plant)
+            cls.scenario.task, ArmKinematics.from_plant(cls.plant)
         )
         cls.q = path.calc_motion(0.5 * path.duration)[0]
         cls.kinematics = ArmKinematics.from_plant(cls.plant)

@@ -344,7 +344,7 @@ BAD_INPUT = {
         "sensors.tool.sensor.usable_range: 0.01 is out of range; use 0.05 to 4",
     ),
     "out_of_reach": (
-        _text("{program: {pick_center: [0.0, -3.0, 0.7]}}"),
+        _text("{task: {pick_center: [0.0, -3.0, 0.7]}}"),
         "out of the robot's reach",
     ),
     "time_step_does_not_fit": (
@@ -352,10 +352,10 @@ BAD_INPUT = {
         "driver.time_step: control_period (0.008) must be a multiple",
     ),
     "nan": (
-        _text("{program: {pick_center: [.nan, 0.0, 0.7]}}"),
+        _text("{task: {pick_center: [.nan, 0.0, 0.7]}}"),
         "program.pick_center[0]: must be a finite number, not '.nan'",
     ),
-    "inf": (_text("{program: {base_jerk: .inf}}"), "base_jerk: must be a fin"),
+    "inf": (_text("{task: {base_jerk: .inf}}"), "base_jerk: must be a fin"),
     "nan_duration": (("--duration", "nan"), "--duration: nan"),
     "duration_0": (("--duration", "0"), "--duration: 0"),
     "negative_seed": (("--seed", "-1"), "--seed: -1"),
@@ -416,12 +416,12 @@ BAD_INPUT = {
         "sensors.tool.parent: the robot has no frame 'hand'",
     ),
     "arm_too_slow": (
-        _text("{program: {arm_speed: 0.5}}"),
-        "program.approach_speed: 0.8 m/s over a slot needs 1.275 rad/s",
+        _text("{task: {arm_speed: 0.5}}"),
+        "task.approach_speed: 0.8 m/s over a slot needs 1.275 rad/s",
     ),
     "too_much_jerk": (
-        _text("{program: {base_jerk: 1e300}}"),
-        "program.base_jerk: must be from 0.001",
+        _text("{task: {base_jerk: 1e300}}"),
+        "task.base_jerk: must be from 0.001",
     ),
     "person_far_away": (
         _text(

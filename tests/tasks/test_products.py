@@ -7,7 +7,7 @@ from pydrake.common.eigen_geometry import Quaternion
 from pydrake.math import RotationMatrix
 
 import tofssm_drake.tasks.products as mut
-from tofssm_drake.tasks.program import ProgramConfig, make_program_path
+from tofssm_drake.tasks.program import PickAndPlace, make_program_path
 
 
 @functools.cache
@@ -17,13 +17,13 @@ def make_kinematics():
 
 @functools.cache
 def make_path():
-    return make_program_path(ProgramConfig(), make_kinematics())
+    return make_program_path(PickAndPlace(), make_kinematics())
 
 
 def calc(s, *, closed=None, placed=None):
     path = make_path()
     return mut.calc_product_positions(
-        layout=mut.ProductLayout.from_config(ProgramConfig()),
+        layout=mut.ProductLayout.from_config(PickAndPlace()),
         kinematics=make_kinematics(),
         q=path.calc_motion(s)[0],
         gripper_closed=path.calc_gripper_closed(s)
@@ -37,7 +37,7 @@ def calc(s, *, closed=None, placed=None):
 
 class TestProductPositions(unittest.TestCase):
     def setUp(self):
-        self.layout = mut.ProductLayout.from_config(ProgramConfig())
+        self.layout = mut.ProductLayout.from_config(PickAndPlace())
 
     def test_before_and_after(self):
         np.testing.assert_allclose(
@@ -113,7 +113,7 @@ class TestProductPositions(unittest.TestCase):
 
 class TestProductCarrier(unittest.TestCase):
     def test_ports_and_value(self):
-        layout = mut.ProductLayout.from_config(ProgramConfig())
+        layout = mut.ProductLayout.from_config(PickAndPlace())
         dut = mut.ProductCarrier(layout=layout, kinematics=make_kinematics())
         self.assertEqual(
             [dut.get_input_port(i).get_name() for i in range(3)],

@@ -26,7 +26,7 @@ def make_kinematics():
 
 @functools.cache
 def make_path():
-    return mut.make_program_path(mut.ProgramConfig(), make_kinematics())
+    return mut.make_program_path(mut.PickAndPlace(), make_kinematics())
 
 
 def calc_tcp(q):
@@ -35,17 +35,17 @@ def calc_tcp(q):
 
 class TestConfig(unittest.TestCase):
     def test_default_is_valid(self):
-        mut.ProgramConfig().check("program")
+        mut.PickAndPlace().check("program")
 
     def test_yaml(self):
         loaded = yaml_load_typed(
-            schema=mut.ProgramConfig,
+            schema=mut.PickAndPlace,
             data="{products: 4, pick_center: [0.1, -0.8, 0.73]}",
-            defaults=mut.ProgramConfig(),
+            defaults=mut.PickAndPlace(),
         )
         self.assertEqual(
             loaded,
-            mut.ProgramConfig(products=4, pick_center=[0.1, -0.8, 0.73]),
+            mut.PickAndPlace(products=4, pick_center=[0.1, -0.8, 0.73]),
         )
 
     def test_wrong_settings_are_named(self):
@@ -59,7 +59,7 @@ class TestConfig(unittest.TestCase):
             ("pick_center", [0.0]),
             ("place_columns", 0),
         ):
-            config = mut.ProgramConfig(**{name: value})
+            config = mut.PickAndPlace(**{name: value})
             with self.assertRaisesRegex(UserError, rf"cell\.{name}: "):
                 config.check("cell")
 
@@ -80,7 +80,7 @@ class TestConfig(unittest.TestCase):
                     UserError, rf"^program\.{message}"
                 ) as context:
                     mut.make_program_path(
-                        mut.ProgramConfig(**wrong), make_kinematics()
+                        mut.PickAndPlace(**wrong), make_kinematics()
                     )
                 self.assertNotIn("\n", str(context.exception))
 
@@ -90,7 +90,7 @@ class TestConfig(unittest.TestCase):
         for _ in range(20):
             try:
                 mut.make_program_path(
-                    mut.ProgramConfig(approach_speed=speed), make_kinematics()
+                    mut.PickAndPlace(approach_speed=speed), make_kinematics()
                 )
                 break
             except UserError as error:
@@ -108,7 +108,7 @@ class TestConfig(unittest.TestCase):
                 path.move(np.ones(1), np.array([velocity]))
 
     def test_unreachable_slot_is_an_error(self):
-        config = mut.ProgramConfig(pick_center=[0.0, -1.5, 0.7])
+        config = mut.PickAndPlace(pick_center=[0.0, -1.5, 0.7])
         with self.assertRaisesRegex(UserError, "reach"):
             mut.make_program_path(config, make_kinematics())
 
@@ -128,7 +128,7 @@ class TestSlots(unittest.TestCase):
         inside the box, none in another."""
         plant = make_plant()
         context = plant.CreateDefaultContext()
-        config = mut.ProgramConfig()
+        config = mut.PickAndPlace()
         half = 0.0275
         pick = mut.calc_pick_slots(config)
         place = mut.calc_place_slots(config)
@@ -172,7 +172,7 @@ class TestPath(unittest.TestCase):
             np.testing.assert_allclose((c[1] - a[1]) / 2 / h, b[2], atol=5e-3)
 
     def test_limits(self):
-        config = mut.ProgramConfig()
+        config = mut.PickAndPlace()
         path = make_path()
         motions = np.array(
             [path.calc_motion(s) for s in np.arange(0, path.duration, 0.01)]
@@ -218,7 +218,7 @@ class TestPath(unittest.TestCase):
 
     def test_gripper_events(self):
         """Checks that the tool rests at the right slot at each event."""
-        config = mut.ProgramConfig()
+        config = mut.PickAndPlace()
         path = make_path()
         for events, slots in (
             (path.close_time, mut.calc_pick_slots(config)),
@@ -244,7 +244,7 @@ class TestPath(unittest.TestCase):
     def test_approach_is_nearly_straight(self):
         """Checks that a product near its slot keeps above it, so that it
         neither meets its neighbours nor the box's wall (0.10 m high)."""
-        config = mut.ProgramConfig()
+        config = mut.PickAndPlace()
         path = make_path()
         slots = np.vstack(
             [mut.calc_pick_slots(config), mut.calc_place_slots(config)]
@@ -290,9 +290,8 @@ class TestPath(unittest.TestCase):
 
 @functools.cache
 def make_program(period=0.008):
-    return mut.PickAndPlaceProgram(
-        config=mut.ProgramConfig(),
-        kinematics=make_kinematics(),
+    return mut.TaskProgram(
+        path=mut.make_program_path(mut.PickAndPlace(), make_kinematics()),
         period=period,
     )
 
@@ -327,7 +326,7 @@ def run(fractions, period=0.008):
     return np.array(rows)
 
 
-class TestPickAndPlaceProgram(unittest.TestCase):
+class TestTaskProgram(unittest.TestCase):
     def test_ports(self):
         dut = make_program()
         self.assertEqual(

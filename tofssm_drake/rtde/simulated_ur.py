@@ -26,7 +26,7 @@ from tofssm_drake.rtde.rtde_fields import (
     SafetyMode,
     SafetyStatusBit,
 )
-from tofssm_drake.tasks.program import ProgramConfig, ProgramPath
+from tofssm_drake.tasks.program import PickAndPlace, ProgramPath
 
 _SERIES = {
     "cb3": (125, (3, 15, 8, 106)),
@@ -62,7 +62,7 @@ class SimulatedUrConfig:
     series: str = "cb3"
 
     # The task; the same as in simulation.
-    program: ProgramConfig = dc.field(default_factory=ProgramConfig)
+    program: PickAndPlace = dc.field(default_factory=PickAndPlace)
 
     # Restart the program when it is done.
     loop: bool = False

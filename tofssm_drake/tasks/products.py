@@ -14,7 +14,7 @@ from pydrake.systems.framework import BasicVector, Context, LeafSystem
 from tofssm_drake.arms.kinematics import ArmKinematics
 from tofssm_drake.kernels import njit
 from tofssm_drake.tasks.program import (
-    ProgramConfig,
+    PickAndPlace,
     calc_pick_slots,
     calc_place_slots,
 )
@@ -34,13 +34,21 @@ class ProductLayout:
     """Orientation of a product in the box, rad about the world's z."""
 
     @staticmethod
-    def from_config(config: ProgramConfig) -> "ProductLayout":
+    def from_config(config: PickAndPlace) -> "ProductLayout":
         """Returns the layout that the program works on."""
         return ProductLayout(
             pick_slots=calc_pick_slots(config),
             place_slots=calc_place_slots(config),
             pick_yaw=float(np.deg2rad(config.pick_yaw)),
             place_yaw=float(np.deg2rad(config.pick_yaw + config.sweep)),
+        )
+
+    @staticmethod
+    def make_empty() -> "ProductLayout":
+        """Returns the layout of a task without products."""
+        none = np.empty((0, 3))
+        return ProductLayout(
+            pick_slots=none, place_slots=none, pick_yaw=0.0, place_yaw=0.0
         )
 
     def __len__(self) -> int:
@@ -212,7 +220,9 @@ class ProductCarrier(LeafSystem):
         super().__init__()
         self._layout = layout
         self._kinematics = kinematics
-        self._position = self.DeclareVectorInputPort("position_measured", 6)
+        self._position = self.DeclareVectorInputPort(
+            "position_measured", kinematics.num_joints
+        )
         self._gripper_closed = self.DeclareVectorInputPort("gripper_closed", 1)
         self._products_placed = self.DeclareVectorInputPort(
             "products_placed", 1

@@ -7,7 +7,6 @@ rho in [0, 1] scales the rate of s and nothing else, as a robot's speed slider
 does: the path itself cannot change.
 """
 
-import bisect
 import dataclasses as dc
 import functools
 
@@ -18,16 +17,20 @@ from pydrake.systems.framework import (
     DiscreteValues,
     LeafSystem,
 )
-import ruckig
 
 from tofssm_drake.arms.kinematics import ArmKinematics
 from tofssm_drake.arms.tool_down import calc_tool_down_joints
 from tofssm_drake.errors import UserError, require, require_period
 from tofssm_drake.kernels import njit
+from tofssm_drake.tasks.path import (
+    PathBuilder,
+    ProgramPath,
+    evaluate_pieces,
+)
 
 
 @dc.dataclass(kw_only=True)
-class ProgramConfig:
+class PickAndPlace:
     """Where the products lie and how fast the robot works."""
 
     # Number of products; each has its own slot on the pick table and in the
@@ -176,7 +179,7 @@ def calc_slots(
     return slots
 
 
-def calc_pick_slots(config: ProgramConfig) -> np.ndarray:
+def calc_pick_slots(config: PickAndPlace) -> np.ndarray:
     """Returns where the products lie at first, m in world, (n, 3)."""
     return calc_slots(
         center=config.pick_center,
@@ -186,7 +189,7 @@ def calc_pick_slots(config: ProgramConfig) -> np.ndarray:
     )
 
 
-def calc_place_slots(config: ProgramConfig) -> np.ndarray:
+def calc_place_slots(config: PickAndPlace) -> np.ndarray:
     """Returns where the products lie afterwards, m in world, (n, 3)."""
     return calc_slots(
         center=config.place_center,
@@ -194,36 +197,6 @@ def calc_place_slots(config: ProgramConfig) -> np.ndarray:
         columns=config.place_columns,
         count=config.products,
     )
-
-
-@njit(cache=True)
-def evaluate_pieces(start, coefficients, s, motion):
-    """Evaluates a piecewise cubic joint motion.
-
-    Args:
-        start: Path time at which each piece starts, s, ascending, (p,).
-        coefficients: q, q', q'', q''' at each start, (p, 4, n).
-        s: Path time, s; held at zero before the first piece. The last piece
-            is at rest.
-        motion: Written: q, q', q'' at s, (3, n).
-    """
-    low = 0
-    high = start.shape[0]
-    while high - low > 1:
-        middle = (low + high) // 2
-        if start[middle] <= s:
-            low = middle
-        else:
-            high = middle
-    u = max(s - start[low], 0.0)
-    for j in range(motion.shape[1]):
-        p = coefficients[low, 0, j]
-        v = coefficients[low, 1, j]
-        a = coefficients[low, 2, j]
-        jerk = coefficients[low, 3, j]
-        motion[0, j] = p + u * (v + u * (a / 2 + u * jerk / 6))
-        motion[1, j] = v + u * (a + u * jerk / 2)
-        motion[2, j] = a + u * jerk
 
 
 @njit(cache=True)
@@ -291,121 +264,13 @@ def calc_motion_commanded(start, coefficients, state, time, period, motion):
         motion[2 * n + j] = path[2, j] * rate * rate + path[1, j] * change
 
 
-@dc.dataclass(frozen=True, eq=False, kw_only=True)
-class ProgramPath:
-    """A nominal motion over path time, with what the gripper does.
-
-    Made by `make_program_path`. Path time is the time it takes at speed
-    fraction 1.
-    """
-
-    start: np.ndarray
-    """Path time at which each cubic piece starts, s, (p,)."""
-    coefficients: np.ndarray
-    """q, q', q'', q''' at each start, (p, 4, 6)."""
-    duration: float
-    """Path time at the end, s."""
-    close_time: tuple[float, ...]
-    """When the gripper closes on each product, s."""
-    open_time: tuple[float, ...]
-    """When it lets go of it, s."""
-
-    def calc_motion(self, s: float) -> np.ndarray:
-        """Returns q, q', q'' at path time s, (3, 6); q' = dq/ds."""
-        motion = np.empty((3, self.coefficients.shape[2]))
-        evaluate_pieces(self.start, self.coefficients, s, motion)
-        return motion
-
-    def calc_products_placed(self, s: float) -> int:
-        """Returns how many products were let go of up to path time s."""
-        return bisect.bisect_right(self.open_time, s)
-
-    def calc_gripper_closed(self, s: float) -> bool:
-        """Returns whether the gripper is closed at path time s."""
-        closed = bisect.bisect_right(self.close_time, s)
-        return closed > self.calc_products_placed(s)
-
-
-class _Path:
-    """Strings jerk-limited motions together; its state is the end so far."""
-
-    def __init__(self, q, speed, acceleration, jerk):
-        self.limits = (speed, acceleration, jerk)
-        self.q = np.array(q, dtype=float)
-        self.qd = np.zeros(len(q))
-        self.time = 0.0
-        self.start = []
-        self.coefficients = []
-
-    def move(self, q, qd=None, joints=None):
-        """Appends the fastest motion to q with end speed qd.
-
-        Joints that do not move are left out, so that they stay exactly still.
-        """
-        n = len(self.q)
-        joints = list(range(n)) if joints is None else joints
-        qd = np.zeros(n) if qd is None else qd
-        given = ruckig.InputParameter(len(joints))
-        given.current_position = self.q[joints].tolist()
-        given.current_velocity = self.qd[joints].tolist()
-        given.target_position = q[joints].tolist()
-        given.target_velocity = qd[joints].tolist()
-        given.max_velocity = self.limits[0][joints].tolist()
-        given.max_acceleration = self.limits[1][joints].tolist()
-        given.max_jerk = self.limits[2][joints].tolist()
-        trajectory = ruckig.Trajectory(len(joints))
-        try:
-            result = ruckig.Ruckig(len(joints)).calculate(given, trajectory)
-        except (ruckig.RuckigError, ValueError):
-            # ValueError: ruckig has no name for some of its own results.
-            result = None
-        if result not in (ruckig.Result.Working, ruckig.Result.Finished):
-            raise UserError(
-                "program: no motion within these limits of speed, "
-                "acceleration and jerk; those by default have one"
-            )
-        # Every time at which a joint's jerk changes starts a new piece.
-        knots = [0.0]
-        for profile in trajectory.profiles[0]:
-            brake = sum(profile.brake.t[:2]) if profile.brake else 0.0
-            knots.extend(brake + np.cumsum(profile.t))
-        knots = np.unique(np.clip(knots, 0.0, trajectory.duration))
-        knots = knots[np.diff(knots, append=np.inf) > 1e-9]
-        ends = np.append(knots[1:], trajectory.duration)
-        for begin, end in zip(knots, ends, strict=True):
-            if end - begin <= 1e-9:
-                continue
-            at_begin = trajectory.at_time(begin)
-            # Acceleration is continuous and linear in the piece.
-            at_end = trajectory.at_time(end)
-            piece = np.zeros((4, n))
-            piece[0] = self.q
-            piece[:3, joints] = at_begin
-            piece[3, joints] = (np.array(at_end[2]) - np.array(at_begin[2])) / (
-                end - begin
-            )
-            self.start.append(self.time + begin)
-            self.coefficients.append(piece)
-        self.time += trajectory.duration
-        self.q = np.array(q, dtype=float)
-        self.qd = np.array(qd, dtype=float)
-
-    def rest(self, duration):
-        """Appends a rest at the end so far."""
-        piece = np.zeros((4, len(self.q)))
-        piece[0] = self.q
-        self.start.append(self.time)
-        self.coefficients.append(piece)
-        self.time += duration
-
-
 def _require_approachable(config, rate, limit):
     """Raises UserError unless every joint is fast enough at a slot.
 
     Args:
         config: Of the program.
-        rate: Of the joints per height of the tool, rad/m, (6,).
-        limit: Speed limits of the joints, rad/s, (6,).
+        rate: Of the joints per height of the tool, rad/m, (n,).
+        limit: Speed limits of the joints, rad/s, (n,).
     """
     needed = np.abs(rate) * config.approach_speed
     worst = int(np.argmax(needed / limit))
@@ -413,15 +278,15 @@ def _require_approachable(config, rate, limit):
         name = "sweep_speed" if worst == 0 else "arm_speed"
         most = limit[worst] / abs(rate[worst])
         raise UserError(
-            f"program.approach_speed: {config.approach_speed:g} m/s over a "
+            f"task.approach_speed: {config.approach_speed:g} m/s over a "
             f"slot needs {needed[worst]:.3f} rad/s of joint q_{worst}, "
-            f"more than the {limit[worst]:.3f} rad/s of program.{name}; at "
+            f"more than the {limit[worst]:.3f} rad/s of task.{name}; at "
             f"most {np.floor(most * 1000) / 1000:g}"
         )
 
 
 def make_program_path(
-    config: ProgramConfig, kinematics: ArmKinematics
+    config: PickAndPlace, kinematics: ArmKinematics
 ) -> ProgramPath:
     """Plans the whole task: each product from its slot into its slot.
 
@@ -438,15 +303,16 @@ def make_program_path(
     Raises:
         UserError: If a setting is out of range or a point out of reach.
     """
-    config.check("program")
+    config.check("task")
     pick, place = _find_stations(config, kinematics)
-    speed = np.full(6, config.arm_speed)
-    acceleration = np.full(6, config.arm_acceleration)
-    jerk = np.full(6, config.arm_jerk)
+    n = kinematics.num_joints
+    speed = np.full(n, config.arm_speed)
+    acceleration = np.full(n, config.arm_acceleration)
+    jerk = np.full(n, config.arm_jerk)
     speed[0] = config.sweep_speed / config.hover_radius
     acceleration[0] = config.base_acceleration
     jerk[0] = config.base_jerk
-    path = _Path(pick.hover, speed, acceleration, jerk)
+    path = PathBuilder(pick.hover, speed, acceleration, jerk)
     close_time: list[float] = []
     open_time: list[float] = []
     for i in range(config.products):
@@ -454,15 +320,7 @@ def make_program_path(
         path.move(place.hover, joints=[0])
         open_time.append(_serve(path, config, kinematics, place, i))
         path.move(pick.hover, joints=[0])
-    duration = path.time
-    path.rest(np.inf)
-    return ProgramPath(
-        start=np.array(path.start),
-        coefficients=np.array(path.coefficients),
-        duration=duration,
-        close_time=tuple(close_time),
-        open_time=tuple(open_time),
-    )
+    return path.finish(close_time, open_time)
 
 
 @dc.dataclass(frozen=True, eq=False, kw_only=True)
@@ -474,7 +332,7 @@ class _Station:
     yaw: float
     """Direction of the tool's x axis, rad."""
     hover: np.ndarray
-    """Joints at the hover point, rad, (6,)."""
+    """Joints at the hover point, rad, (n,)."""
 
 
 def _find_stations(config, kinematics):
@@ -508,7 +366,7 @@ def _serve(path, config, kinematics, station, i):
 
     def solve(p_WT):
         q = calc_tool_down_joints(kinematics, p_WT, station.yaw)
-        for k in (0, 5):
+        for k in (0, len(q) - 1):
             turns = (station.hover[k] - q[k]) / (2 * np.pi)
             q[k] += 2 * np.pi * np.round(turns)
         return q
@@ -529,12 +387,12 @@ def _serve(path, config, kinematics, station, i):
     return event
 
 
-class PickAndPlaceProgram(LeafSystem):
+class TaskProgram(LeafSystem):
     """Runs the nominal motion at the commanded speed fraction.
 
     .. pydrake_system::
 
-        name: PickAndPlaceProgram
+        name: TaskProgram
         input_ports:
         - speed_fraction
         output_ports:
@@ -552,29 +410,28 @@ class PickAndPlaceProgram(LeafSystem):
     at the end. Between ticks the motion goes on: the outputs of motion depend
     on time, so a controller may run faster than the tick.
 
-    `position_commanded`, `velocity_commanded`, `acceleration_commanded` (6,
-    rad, rad/s, rad/s^2) are parts of `motion_commanded` (18), which costs one
+    `position_commanded`, `velocity_commanded`, `acceleration_commanded` (n,
+    rad, rad/s, rad/s^2) are parts of `motion_commanded` (3 n), which costs one
     evaluation instead of three. `gripper_closed` is 0 or 1, `products_placed`
     counts products let go of in the box, `task_done` is 1 once the last one
     is placed and the arm is back at its hover point; these three change at
     ticks only, as a robot's digital output and registers do.
 
     Args:
-        config: Settings; checked.
-        kinematics: Of the robot in its cell.
+        path: The nominal motion of n joints.
         period: Control tick, s.
     """
 
     def __init__(
         self,
         *,
-        config: ProgramConfig,
-        kinematics: ArmKinematics,
+        path: ProgramPath,
         period: float = 0.008,
     ):
         super().__init__()
         require_period(period)
-        self._path = make_program_path(config, kinematics)
+        self._path = path
+        self._num_joints = path.coefficients.shape[2]
         self._period = period
         self._speed_fraction = self.DeclareVectorInputPort("speed_fraction", 1)
         # Path time, its rate, the rate's change, time of the tick.
@@ -584,12 +441,12 @@ class PickAndPlaceProgram(LeafSystem):
             self.time_ticket(),
         }
         self._motion = self.DeclareVectorOutputPort(
-            "motion_commanded", 18, self._calc_motion, motion
+            "motion_commanded", 3 * self._num_joints, self._calc_motion, motion
         )
         for i, name in enumerate(("position", "velocity", "acceleration")):
             self.DeclareVectorOutputPort(
                 f"{name}_commanded",
-                6,
+                self._num_joints,
                 functools.partial(self._calc_part, part=i),
                 motion,
             )
@@ -623,7 +480,8 @@ class PickAndPlaceProgram(LeafSystem):
         self, context: Context, output: BasicVector, part: int
     ) -> None:
         motion = self._motion.Eval(context)
-        output.SetFromVector(motion[6 * part : 6 * part + 6])
+        n = self._num_joints
+        output.SetFromVector(motion[n * part : n * part + n])
 
     def _update(self, context: Context, discrete_state: DiscreteValues) -> None:
         s = begin_tick(

@@ -1,0 +1,176 @@
+"""A task of waypoints, for any arm."""
+
+import dataclasses as dc
+from typing import ClassVar
+
+import numpy as np
+
+from tofssm_drake.arms.kinematics import ArmKinematics
+from tofssm_drake.arms.limits import ArmLimits
+from tofssm_drake.arms.tool_down import calc_tool_down_joints
+from tofssm_drake.errors import require
+from tofssm_drake.tasks.path import PathBuilder, ProgramPath
+
+_GRIPS = ("keep", "close", "open")
+
+
+@dc.dataclass(kw_only=True)
+class Waypoint:
+    """A place of the arm, by its joints or by its tool."""
+
+    # Positions of the joints, rad or m, base to tool.
+    joints: list[float] = dc.field(default_factory=list)
+
+    # Or the tool centre point in the world, m, with the tool pointing down.
+    point: list[float] = dc.field(default_factory=list)
+
+    # Direction of the tool's x axis then, deg about the world's z.
+    yaw_deg: float = 0.0
+
+    # Part of the joints' greatest speeds on the way there.
+    speed: float = 0.5
+
+    # Rest there, s.
+    dwell: float = 0.2
+
+    # What the gripper does in the middle of the rest: "keep", "close", "open".
+    gripper: str = "keep"
+
+    def check(self, where: str) -> None:
+        """Raises UserError unless every setting is within its limits."""
+        require(
+            bool(self.joints) != bool(self.point),
+            f"{where}: give either joints or point",
+        )
+        require(
+            len(self.point) in (0, 3),
+            f"{where}.point: {self.point} must be three numbers, m",
+        )
+        require(
+            0.0 < self.speed <= 1.0,
+            f"{where}.speed: {self.speed} must be above 0 and at most 1",
+        )
+        require(
+            0.0 <= self.dwell <= 3600.0,
+            f"{where}.dwell: {self.dwell} must be from 0 to 3600 s",
+        )
+        require(
+            self.gripper in _GRIPS,
+            f"{where}.gripper: {self.gripper!r} is unknown, use one of "
+            f"{', '.join(_GRIPS)}",
+        )
+
+
+@dc.dataclass(kw_only=True)
+class Waypoints:
+    """Goes from waypoint to waypoint and back to the first, again and again."""
+
+    waypoints: list[Waypoint] = dc.field(default_factory=list)
+
+    # How many times.
+    rounds: int = 1
+
+    # Part of the joints' greatest accelerations.
+    acceleration: float = 0.5
+
+    # From rest to that acceleration, s.
+    jerk_time: float = 0.1
+
+    # It carries nothing that sensors could see.
+    products: ClassVar[int] = 0
+
+    def check(self, where: str) -> None:
+        """Raises UserError unless every setting is within its limits."""
+        require(
+            len(self.waypoints) >= 2,
+            f"{where}.waypoints: must be two or more",
+        )
+        for i, waypoint in enumerate(self.waypoints):
+            waypoint.check(f"{where}.waypoints[{i}]")
+        require(
+            1 <= self.rounds <= 10_000,
+            f"{where}.rounds: {self.rounds} must be from 1 to 10000",
+        )
+        require(
+            0.0 < self.acceleration <= 1.0,
+            f"{where}.acceleration: {self.acceleration} must be above 0 and "
+            "at most 1",
+        )
+        require(
+            0.001 <= self.jerk_time <= 10.0,
+            f"{where}.jerk_time: {self.jerk_time} must be from 0.001 to 10 s",
+        )
+
+
+def make_waypoint_path(
+    config: Waypoints,
+    kinematics: ArmKinematics,
+    limits: ArmLimits,
+    where: str = "task",
+) -> ProgramPath:
+    """Plans the motion: time-optimal between rests, under the arm's limits.
+
+    Args:
+        config: Checked settings.
+        kinematics: Of the arm in its cell.
+        limits: Of its joints.
+        where: Path of keys, for the message.
+
+    Raises:
+        UserError: A waypoint is out of reach.
+    """
+    targets = _find_targets(config, kinematics, limits, where)
+    acceleration = config.acceleration * limits.acceleration
+    path = PathBuilder(
+        targets[0],
+        limits.speed,
+        acceleration,
+        acceleration / config.jerk_time,
+    )
+    close_time, open_time = [], []
+    is_closed = False
+    for i in range(config.rounds * len(targets)):
+        waypoint = config.waypoints[i % len(targets)]
+        if i:
+            path.limits = (waypoint.speed * limits.speed, *path.limits[1:])
+            path.move(targets[i % len(targets)])
+        now = path.time + 0.5 * waypoint.dwell
+        if waypoint.gripper == "close" and not is_closed:
+            close_time.append(now)
+            is_closed = True
+        elif waypoint.gripper == "open" and is_closed:
+            open_time.append(now)
+            is_closed = False
+        if waypoint.dwell > 0.0:
+            path.rest(waypoint.dwell)
+    path.move(targets[0])
+    return path.finish(close_time, open_time)
+
+
+def _find_targets(config, kinematics, limits, where):
+    """Returns the joints at each waypoint."""
+    n = kinematics.num_joints
+    targets = []
+    for i, waypoint in enumerate(config.waypoints):
+        at = f"{where}.waypoints[{i}]"
+        if waypoint.point:
+            q = calc_tool_down_joints(
+                kinematics,
+                np.array(waypoint.point),
+                np.deg2rad(waypoint.yaw_deg),
+                guess=targets[-1] if targets else None,
+            )
+        else:
+            q = np.array(waypoint.joints, dtype=float)
+        require(
+            len(q) == n, f"{at}.joints: has {len(q)} values, but the arm {n}"
+        )
+        low, high = limits.lower, limits.upper
+        bad = np.flatnonzero((q < low) | (q > high) | ~np.isfinite(q))
+        require(
+            len(bad) == 0,
+            f"{at}: joint {bad[0] if len(bad) else 0} would be at "
+            f"{q[bad[0]] if len(bad) else 0:.4g}, beyond its limits",
+        )
+        targets.append(q)
+    return targets
