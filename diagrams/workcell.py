@@ -1,5 +1,6 @@
 """Station and monitor in a closed loop, and the record."""
 
+from collections.abc import Callable
 import dataclasses as dc
 import math
 
@@ -54,14 +55,27 @@ def make_workcell(
     station: Station | None = None,
     meshcat: Meshcat | None = None,
     with_samples: bool = True,
+    prebuild: Callable[[DiagramBuilder, Diagram, Diagram], None] | None = None,
 ) -> Workcell:
     """Makes the closed loop of a scenario.
+
+    .. pydrake_system::
+
+        name: workcell
+        output_ports:
+        - speed_fraction
+        - decision
+        - separation
+        - position_measured
+        - velocity_measured
 
     Args:
         scenario: Checked settings.
         station: Of the same scenario; None makes a simulated one.
         meshcat: Where to show the cell; None shows nothing.
         with_samples: Keep samples for a report; they grow with the run.
+        prebuild: Called with the builder, the station and the monitor before
+            the Diagram is built, to add systems of one's own.
 
     Returns:
         The Diagram, ready for a Simulator, and its parts.
@@ -87,6 +101,12 @@ def make_workcell(
         recorder = _add_recorder(builder, scenario, station, monitor)
     if meshcat is not None:
         _add_display(builder, scenario, station, monitor, meshcat)
+    for name in ("speed_fraction", "decision", "separation"):
+        builder.ExportOutput(monitor.GetOutputPort(name), name)
+    for name in ("position_measured", "velocity_measured"):
+        builder.ExportOutput(station.diagram.GetOutputPort(name), name)
+    if prebuild is not None:
+        prebuild(builder, station.diagram, monitor)
     diagram = builder.Build()
     diagram.set_name("workcell")
     return Workcell(diagram=diagram, station=station, recorder=recorder)

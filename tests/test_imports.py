@@ -16,7 +16,9 @@ _FOLDERS = {
     "tofssm_drake.scripts": _ROOT / "scripts",
 }
 
-_FOR_ALL = ("device_clock", "errors", "kernels", "messages")
+_FOR_ALL = (
+    *("device_clock", "errors", "factory", "kernels", "messages", "poses"),
+)
 
 # What each room may use of the others.
 _MAY_USE = {
@@ -34,7 +36,7 @@ _MAY_USE = {
     "studies": ("laws", "recording"),
     "reports": ("metrics", "recording"),
     "visualization": ("arms", "recording", "reports"),
-    "paper": ("metrics", "recording", "reports", "studies"),
+    "paper": ("laws", "metrics", "recording", "reports", "studies"),
 }
 
 
@@ -142,3 +144,30 @@ class TestImports(unittest.TestCase):
                     tops - set(sys.stdlib_module_names),
                     known | extras.get(module, set()),
                 )
+
+
+class TestLoading(unittest.TestCase):
+    def test_a_room_loads_only_what_it_needs(self):
+        """A stranger takes one room and gets no other's libraries."""
+        import subprocess
+        import sys
+
+        for room, others in (
+            ("raycast", ("matplotlib", "mcap", "pyarrow", "ruckig", "serial")),
+            ("laws", ("matplotlib", "mcap", "pyarrow", "serial", "trimesh")),
+            ("rtde", ("matplotlib", "mcap", "pyarrow", "serial", "trimesh")),
+        ):
+            with self.subTest(room):
+                program = (
+                    f"import sys, tofssm_drake.{room} as room\n"
+                    "assert all(hasattr(room, n) for n in room.__all__)\n"
+                    f"print(*(n for n in {others} if n in sys.modules))"
+                )
+                done = subprocess.run(
+                    [sys.executable, "-c", program],
+                    capture_output=True,
+                    text=True,
+                    check=False,
+                )
+                self.assertEqual(done.stdout.split(), [], done.stderr)
+                self.assertEqual(done.returncode, 0, done.stderr)

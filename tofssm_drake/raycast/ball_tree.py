@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from tofssm_drake.raycast import ray_kernels
+import tofssm_drake.raycast.ray_kernels as ray_kernels
 
 # Testing this many balls is faster than testing a ball around them first.
 _GROUP_SIZE = 8

@@ -20,7 +20,6 @@ from pydrake.geometry import (
 )
 from pydrake.math import RigidTransform
 
-from tofssm_drake.raycast import ray_kernels
 from tofssm_drake.raycast.ray_arguments import (
     UNIT_TOLERANCE,
     as_packed,
@@ -31,6 +30,7 @@ from tofssm_drake.raycast.ray_arguments import (
     show,
 )
 from tofssm_drake.raycast.ray_bundles import RayBundles, pack_bundles
+import tofssm_drake.raycast.ray_kernels as ray_kernels
 from tofssm_drake.raycast.scene_shapes import describe_geometry, read_shapes
 
 _IDENTITY = np.eye(3, 4)

@@ -19,8 +19,9 @@ from pydrake.geometry import (
 )
 
 from tofssm_drake.errors import UserError
-from tofssm_drake.raycast import ray_kernels, shape_kernels
 from tofssm_drake.raycast.ball_tree import make_ball_tree
+import tofssm_drake.raycast.ray_kernels as ray_kernels
+import tofssm_drake.raycast.shape_kernels as shape_kernels
 from tofssm_drake.raycast.triangle_mesh import (
     check_hull_source,
     describe_mesh_source,

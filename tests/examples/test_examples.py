@@ -1,0 +1,99 @@
+"""Every shipped example runs."""
+
+import importlib
+from pathlib import Path
+import struct
+
+import numpy as np
+from pydrake.lcm import DrakeLcm
+import pytest
+
+from tofssm_drake.diagrams.scenario import list_scenarios, load_scenario
+from tofssm_drake.diagrams.simulation import Run
+from tofssm_drake.diagrams.workcell import make_workcell
+
+ROOT = Path(__file__).parents[2]
+
+
+@pytest.fixture(autouse=True)
+def at_the_root(monkeypatch):
+    monkeypatch.chdir(ROOT)
+    monkeypatch.syspath_prepend(ROOT)
+
+
+def run(file, name, text=""):
+    scenario = load_scenario(
+        filename=Path("examples") / file, name=name, text=text
+    )
+    run = Run(workcell=make_workcell(scenario), scenario=scenario)
+    while not (progress := run.advance()).finished:
+        pass
+    return run.make_samples(), progress
+
+
+ALONE = "{simulation_duration: 14.0, people: {visitor: null}}"
+
+
+def test_my_arm_ur5e():
+    """Two rings and a lidar on a UR5e; nobody is there, nothing stops it."""
+    samples, progress = run("my_arm.yaml", "UR5e", ALONE)
+    assert samples.rings == ("upper_arm", "forearm", "low")
+    assert progress.products_placed == 1
+    assert (samples["robot_state"][samples["t"] > 0.2] == 2).all()
+
+
+def test_my_arm_panda():
+    """Seven joints from a public description, from waypoint to waypoint."""
+    samples, progress = run("my_arm.yaml", "Panda", ALONE)
+    assert progress.finished
+    assert progress.time < 14.0
+    assert "q_6" in samples
+    assert np.ptp(samples["q_0"]) == pytest.approx(1.6, abs=0.01)
+    assert (samples["robot_state"][samples["t"] > 0.2] == 2).all()
+
+
+@pytest.mark.parametrize("name", ["UR5e", "Panda"])
+def test_my_arm_stops_for_a_person(name):
+    """Somebody stands in reach of the arm."""
+    text = """{simulation_duration: 3.0, people: {visitor: !CustomMotion {
+        factory: "examples.my_person:sway",
+        parameters: {distance: 0.75, swing: 0.0}}}}"""
+    samples, _ = run("my_arm.yaml", name, text)
+    assert samples["robot_state"].min() == 0
+    assert samples["robot_state"][-1] < 2
+
+
+def test_my_person():
+    samples, _ = run("my_person.yaml", "Sway", "{simulation_duration: 2.0}")
+    assert np.ptp(samples["person_y"]) == pytest.approx(0.5, abs=0.02)
+    assert samples["person_x"].mean() == pytest.approx(1.3, abs=0.05)
+
+
+def test_publish_fraction():
+    example = importlib.import_module("examples.publish_fraction")
+    lcm = DrakeLcm("memq://")
+    received = []
+    lcm.Subscribe(channel="SPEED_FRACTION", handler=received.append)
+    last = example.run(duration=1.0, lcm=lcm)
+    while lcm.HandleSubscriptions(0):
+        pass
+    times, fractions = zip(
+        *(struct.unpack(">dd", message) for message in received), strict=True
+    )
+    np.testing.assert_allclose(np.diff(times), 0.04, atol=1e-9)
+    assert fractions[0] == 0.0
+    assert max(fractions) <= 1.0
+    assert last == pytest.approx(fractions[-1], abs=0.2)
+
+
+def test_cast_rays():
+    example = importlib.import_module("examples.cast_rays")
+    distances = example.measure()
+    assert distances[0] == pytest.approx(1.5)
+    assert np.isinf(distances).sum() < len(distances)
+
+
+def test_all_scenarios_of_examples_load():
+    for file in sorted(Path("examples").glob("*.yaml")):
+        for name in list_scenarios(file):
+            load_scenario(filename=file, name=name)
