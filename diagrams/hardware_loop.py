@@ -153,7 +153,11 @@ class HardwareLoop:
         self._station = make_hardware_station(
             scenario,
             robot=HeldRobot(self._send_if_live),
-            rings=None if virtual_rings else HeldRings(),
+            rings=(
+                None
+                if virtual_rings
+                else HeldRings(tuple(find_rings(scenario.sensors)))
+            ),
             slider=dc.replace(slider, reduced_fraction=law.reduced_fraction),
             gripper_output=gripper_output,
         )
@@ -240,7 +244,7 @@ class HardwareLoop:
             slider=self._ask(self._slider, "slider"),
             separation=self._ask(monitor, "separation"),
             products_placed=max(report.products_placed, 0),
-            task_done=report.products_placed >= self._scenario.program.products,
+            task_done=report.products_placed >= self._scenario.task.products,
             sent=self._sent,
         )
 

@@ -130,11 +130,7 @@ def run_session(settings: SessionSettings) -> int:
             stack.enter_context(_made_folder(settings.out))
         recorder = None
         if settings.record is not None:
-            recorder = stack.enter_context(
-                RunRecorder(
-                    settings.record, links=find_links(settings.scenario)
-                )
-            )
+            recorder = stack.enter_context(RunRecorder(settings.record))
         link = _open_rings(stack, settings, recorder)
         robot = _open_robot(stack, settings, recorder)
         waiting = {
