@@ -16,7 +16,7 @@ from tofssm_drake.arms.kinematics import ArmKinematics
 from tofssm_drake.rtde.rtde_server import RtdeServer
 from tofssm_drake.rtde.simulated_ur import SimulatedUr, SimulatedUrConfig
 from tofssm_drake.scripts.simulate import catch_stop
-from tofssm_drake.tasks.program import make_program_path
+from tofssm_drake.tasks.program import PickAndPlace, make_program_path
 
 HEARTBEAT = "input_int_register_24"
 # A real controller is a computer of its own: nothing here may delay it.
@@ -53,7 +53,7 @@ def main():
     kinematics = ArmKinematics.from_plant(make_cell_plant())
     robot = ClockedUr(
         config=config,
-        path=make_program_path(config.program, kinematics),
+        path=make_program_path(PickAndPlace(), kinematics),
         kinematics=kinematics,
     )
     robot.step()

@@ -6,12 +6,15 @@ import typer
 
 from tofssm_drake.arms.cell_plant import make_cell_plant
 from tofssm_drake.arms.kinematics import ArmKinematics
+from tofssm_drake.arms.ur_arm import UrArm
+from tofssm_drake.diagrams.scenario import load_scenario
+from tofssm_drake.diagrams.tasks import make_task_path
 from tofssm_drake.errors import require
 from tofssm_drake.rtde.rtde_server import Faults, RtdeServer
 from tofssm_drake.rtde.simulated_ur import SimulatedUr, SimulatedUrConfig
 import tofssm_drake.scripts.options as options
 from tofssm_drake.scripts.simulate import catch_stop, interrupt_on_stop
-from tofssm_drake.tasks.program import make_program_path
+from tofssm_drake.tasks.program import PickAndPlace
 
 # Option by setting.
 _OPTIONS = {
@@ -20,7 +23,6 @@ _OPTIONS = {
     "robot.ramp": "--ramp",
     "robot.watchdog_timeout": "--watchdog",
     "robot.watchdog_action": "--watchdog-action",
-    "robot.program.products": "--products",
 }
 
 
@@ -35,13 +37,24 @@ def simulated_ur(
         int,
         typer.Option(help="The dashboard's TCP port; 0: a free one, -1: none."),
     ] = 29999,
+    scenario_file: options.ScenarioFile = None,
+    scenario_name: options.ScenarioName = "Default",
+    scenario_text: options.ScenarioText = "",
+    model: Annotated[
+        str | None,
+        typer.Option(help="Of the robot; default: the scenario's, e.g. ur5e."),
+    ] = None,
     series: Annotated[
-        str,
-        typer.Option(help="CB3 or e-Series.", metavar="cb3|e"),
-    ] = "cb3",
+        str | None,
+        typer.Option(
+            help="CB3 or e-Series; default: that of the model.",
+            metavar="cb3|e",
+        ),
+    ] = None,
     products: Annotated[
-        int, typer.Option(help="How many products are picked and placed.")
-    ] = 10,
+        int | None,
+        typer.Option(help="How many products are picked and placed."),
+    ] = None,
     loop: Annotated[
         bool, typer.Option(help="Start again when the program is done.")
     ] = False,
@@ -84,13 +97,22 @@ def simulated_ur(
         int, typer.Option(help="Send at most this many bytes at once; 0: all.")
     ] = 0,
 ) -> int:
-    """Simulate a UR10's controller: RTDE, dashboard and a running program.
+    """Simulate a UR's controller: RTDE, dashboard and a running program.
+
+    Robot and program are those of the scenario.
 
     It serves until Ctrl-C or SIGTERM. When it is ready it prints a line with
     its address.
     """
+    scenario = _find_scenario(
+        load_scenario(
+            filename=scenario_file, name=scenario_name, text=scenario_text
+        ),
+        model,
+        products,
+    )
     config = SimulatedUrConfig(
-        series=series,
+        series=series or _find_series(scenario.robot),
         loop=loop,
         start=start,
         ramp=ramp,
@@ -99,7 +121,6 @@ def simulated_ur(
         slider_resets_on_pause=slider_resets_on_pause,
         protective_stop_after_zero=protective_stop_after_zero,
     )
-    config.program.products = products
     with options.blame(_OPTIONS):
         config.check("robot")
     for name, number in (
@@ -117,7 +138,7 @@ def simulated_ur(
     require(fragment >= 0, f"--fragment: must be 0 or more, got {fragment}")
     with catch_stop() as stopped:
         with interrupt_on_stop(stopped, "interrupted before the start"):
-            robot = _make_robot(config)
+            robot = _make_robot(config, scenario)
         server = RtdeServer(
             robot=robot,
             host=host,
@@ -129,17 +150,44 @@ def simulated_ur(
                 fragment=fragment,
             ),
         )
-        print(describe(server), flush=True)
+        print(describe(server, scenario.robot.model), flush=True)
         server.run(lambda: bool(stopped))
     return 0
 
 
-def _make_robot(config):
+def _find_scenario(scenario, model, products):
+    """Returns the scenario with the options of the command line."""
+    require(
+        isinstance(scenario.robot, UrArm),
+        "robot: only a !UrArm has a controller that can be simulated",
+    )
+    changed = {}
+    if model is not None:
+        scenario.robot.model = model
+        changed["robot.model"] = "--model"
+    if products is not None:
+        require(
+            isinstance(scenario.task, PickAndPlace),
+            "--products: is for the task !PickAndPlace",
+        )
+        scenario.task.products = products
+        changed["task.products"] = "--products"
+    with options.blame(changed):
+        scenario.check()
+    return scenario
+
+
+def _find_series(robot):
+    """Returns the series of a model: only the UR10 here is a CB3."""
+    return "cb3" if robot.model == "ur10" else "e"
+
+
+def _make_robot(config, scenario):
     """Returns a robot whose kernels are compiled."""
-    kinematics = ArmKinematics.from_plant(make_cell_plant())
+    kinematics = ArmKinematics.from_plant(make_cell_plant(arm=scenario.robot))
     robot = SimulatedUr(
         config=config,
-        path=make_program_path(config.program, kinematics),
+        path=make_task_path(scenario.task, kinematics, scenario.robot),
         kinematics=kinematics,
     )
     # Compiles what the first cycle needs, so that its timing is steady.
@@ -147,10 +195,16 @@ def _make_robot(config):
     return robot
 
 
-def describe(server: RtdeServer) -> str:
-    """Returns the line that says where a simulated robot can be reached."""
+def describe(server: RtdeServer, model: str = "ur10") -> str:
+    """Returns the line that says where a simulated robot can be reached.
+
+    Args:
+        server: Of the robot.
+        model: Of the robot.
+    """
     host, port = server.address
-    line = f"simulated UR10, {server.robot.rate} Hz, RTDE at {host}:{port}"
+    name = f"UR{model.removeprefix('ur')}"
+    line = f"simulated {name}, {server.robot.rate} Hz, RTDE at {host}:{port}"
     if server.dashboard_address is None:
         return line
     host, port = server.dashboard_address

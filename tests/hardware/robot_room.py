@@ -22,11 +22,11 @@ def make_path(products=2):
 
 
 def make_robot(**settings):
-    """Makes a robot whose program has two products."""
-    settings.setdefault("program", PickAndPlace(products=2))
+    """Makes a robot whose program has two products, or another one."""
+    program = settings.pop("program", PickAndPlace(products=2))
     return SimulatedUr(
         config=SimulatedUrConfig(**settings),
-        path=make_path(settings["program"].products),
+        path=make_path(program.products),
         kinematics=make_kinematics(),
     )
 

@@ -26,7 +26,7 @@ from tofssm_drake.rtde.rtde_fields import (
     SafetyMode,
     SafetyStatusBit,
 )
-from tofssm_drake.tasks.program import PickAndPlace, ProgramPath
+from tofssm_drake.tasks.path import ProgramPath
 
 _SERIES = {
     "cb3": (125, (3, 15, 8, 106)),
@@ -60,9 +60,6 @@ class SimulatedUrConfig:
 
     # "cb3": 125 Hz, software 3.15; "e": e-Series, 500 Hz, software 5.12.
     series: str = "cb3"
-
-    # The task; the same as in simulation.
-    program: PickAndPlace = dc.field(default_factory=PickAndPlace)
 
     # Restart the program when it is done.
     loop: bool = False
@@ -136,7 +133,6 @@ class SimulatedUrConfig:
                 f"{where}.{name}: must be from 0 to {largest}, "
                 f"got {getattr(self, name)}",
             )
-        self.program.check(f"{where}.program")
 
 
 class SimulatedUr:
