@@ -6,12 +6,13 @@ from pydrake.geometry import SceneGraph
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.systems.framework import Diagram, DiagramBuilder
 
+from tofssm_drake.arms.cell_plant import make_cell_plant
 from tofssm_drake.arms.kinematics import ArmKinematics
 from tofssm_drake.arms.sim_arm import make_sim_arm
 from tofssm_drake.diagrams.people import People
 from tofssm_drake.diagrams.ring_world import add_ring_world, make_scene
 from tofssm_drake.diagrams.scenario import Scenario
-from tofssm_drake.diagrams.tasks import make_task_path
+from tofssm_drake.diagrams.tasks import make_task_path, require_supported
 from tofssm_drake.tasks.program import TaskProgram
 
 
@@ -74,6 +75,7 @@ def make_station(scenario: Scenario) -> Station:
             period=scenario.control_period,
         ),
     )
+    _require_supported(scenario, program.path.calc_motion(0.0)[0])
     robot, _ = make_sim_arm(
         config=scenario.driver,
         arm=scenario.robot,
@@ -113,3 +115,10 @@ def make_station(scenario: Scenario) -> Station:
         people=world.people,
         nominal_duration=program.path.duration,
     )
+
+
+def _require_supported(scenario, q):
+    """Raises UserError unless every product rests on something."""
+    scene_graph = SceneGraph()
+    cell = make_cell_plant(arm=scenario.robot, scene_graph=scene_graph)
+    require_supported(scenario.task, cell, scene_graph, q)

@@ -4,14 +4,24 @@ To add a kind, write its file in `tofssm_drake/tasks`, and name it in `Task`
 and in `make_task_path`.
 """
 
+import numpy as np
+from pydrake.geometry import SceneGraph
+from pydrake.multibody.plant import MultibodyPlant
+
 from tofssm_drake.arms.arm import ArmModel
 from tofssm_drake.arms.kinematics import ArmKinematics
+from tofssm_drake.errors import UserError
+from tofssm_drake.perception.twin import TwinPoses
+from tofssm_drake.raycast.ray_caster import RayCaster
 from tofssm_drake.tasks.path import ProgramPath
-from tofssm_drake.tasks.products import ProductLayout
+from tofssm_drake.tasks.products import HALF_PRODUCT, ProductLayout
 from tofssm_drake.tasks.program import PickAndPlace, make_program_path
 from tofssm_drake.tasks.waypoints import Waypoints, make_waypoint_path
 
 Task = PickAndPlace | Waypoints
+
+# A product may be this far from resting on something, m.
+_MOST_GAP = 0.005
 
 
 def make_task_path(
@@ -30,6 +40,43 @@ def make_task_path(
     if isinstance(task, Waypoints):
         return make_waypoint_path(task, kinematics, arm.read_limits())
     return make_program_path(task, kinematics)
+
+
+def require_supported(
+    task: Task, cell: MultibodyPlant, scene_graph: SceneGraph, q: np.ndarray
+) -> None:
+    """Raises UserError unless every product rests on something.
+
+    Args:
+        task: Checked settings.
+        cell: Arm and cell, without the products.
+        scene_graph: With which it is registered.
+        q: Joints at the start, rad or m, (n,).
+    """
+    layout = find_layout(task)
+    if not len(layout):
+        return
+    caster = RayCaster(scene_graph.model_inspector())
+    twin = TwinPoses.from_plant(
+        cell, layout=ProductLayout.make_empty(), frame_ids=caster.frame_ids
+    )
+    X_WF = twin.calc(q, 0.0, 0.0)
+    down = np.tile([0.0, 0.0, -1.0], (len(layout), 1))
+    for name, slots in (
+        ("pick", layout.pick_slots),
+        ("place", layout.place_slots),
+    ):
+        below, _ = caster.cast(X_WF, slots, down)
+        gap = below - HALF_PRODUCT
+        i = int(np.argmax(np.abs(gap)))
+        if abs(gap[i]) <= _MOST_GAP:
+            continue
+        what = (
+            f"float {gap[i]:.3f} m above what is under it"
+            if gap[i] > 0.0
+            else f"reach {-gap[i]:.3f} m into what is under it"
+        )
+        raise UserError(f"task.{name}_center: product {i} would {what}")
 
 
 def find_layout(task: Task) -> ProductLayout:

@@ -132,6 +132,14 @@ def test_a_cart_in_the_way_stops_the_robot_and_is_no_person():
     ("text", "message"),
     [
         (
+            "task: {pick_center: [0.0, -0.82, 0.78]}",
+            r"task.pick_center: product \d would float 0.05. m above",
+        ),
+        (
+            "task: {place_center: [0.0, 0.82, 0.72]}",
+            r"task.place_center: product \d would reach 0.01. m into",
+        ),
+        (
             "sensors: {a: !Ring {parent: knee}}",
             "sensors.a.parent: the robot has no frame 'knee'",
         ),

@@ -19,6 +19,9 @@ from tofssm_drake.tasks.program import (
     calc_place_slots,
 )
 
+HALF_PRODUCT = 0.0275
+"""From a product's middle to its faces, m (models/workcell/product.urdf)."""
+
 
 @dc.dataclass(frozen=True, eq=False, kw_only=True)
 class ProductLayout:
