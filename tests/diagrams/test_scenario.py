@@ -104,7 +104,7 @@ class TestLoad(unittest.TestCase):
 
     def test_keys_of_before_name_the_new_one(self):
         for text, new in (
-            ("sensing: lidar", "sensors, e.g. of the scenario MotionCapture"),
+            ("sensing: lidar", "sensors, as in the scenarios MotionCapture"),
             ("sensors_per_ring: 16", "sensors.<ring>.count"),
             ("rings: {readout_time: 0.1}", "sensors.<ring>.sensor"),
             ("dead_sensors: {tool: [1]}", "sensors.<ring>.dead_sensors"),

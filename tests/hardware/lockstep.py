@@ -15,11 +15,11 @@ from paper_cell import RINGS
 from robot_room import make_kinematics, make_robot
 
 from tofssm_drake.arms.cell_plant import make_cell_plant
-from tofssm_drake.diagrams import ring_world
 from tofssm_drake.diagrams.hardware_loop import HardwareLoop
 from tofssm_drake.diagrams.hardware_run import HardwareRun, JointLimits
 from tofssm_drake.diagrams.ring_decoder import make_ring_decoder
 from tofssm_drake.diagrams.scenario import load_scenario
+from tofssm_drake.diagrams.sensors import rings
 from tofssm_drake.diagrams.simulated_rings import (
     SimulatedRings,
     iterate_wake_times,
@@ -223,7 +223,7 @@ class Cell:
         def send(frame, is_damaged):
             return not heard or self._receive_frame(frame, is_damaged)
 
-        with mock.patch.object(ring_world, "find_ring_mount", mount_ring):
+        with mock.patch.object(rings, "find_ring_mount", mount_ring):
             self._rings = SimulatedRings(scenario=self.scenario, send=send)
         # Until now nothing depends on it.
         now = self._wake_time - CYCLE

@@ -295,7 +295,7 @@ BAD_INPUT = {
         "law.configuratoin: unknown key; did you mean 'configuration'?",
     ),
     "former_key": (
-        _text("{law: {configuration: vr}}"),
+        _text("{ssm: {configuration: vr}}"),
         "--scenario-text:1: ssm: is now law",
     ),
     "law_without_factory": (
@@ -353,7 +353,7 @@ BAD_INPUT = {
     ),
     "nan": (
         _text("{task: {pick_center: [.nan, 0.0, 0.7]}}"),
-        "program.pick_center[0]: must be a finite number, not '.nan'",
+        "task.pick_center[0]: must be a finite number, not '.nan'",
     ),
     "inf": (_text("{task: {base_jerk: .inf}}"), "base_jerk: must be a fin"),
     "nan_duration": (("--duration", "nan"), "--duration: nan"),
@@ -401,7 +401,7 @@ BAD_INPUT = {
     ),
     "key_of_before": (
         _text("{sensing: lidar}"),
-        "sensing: is now sensors, e.g. of the scenario MotionCapture or Planar",
+        "sensing: is now sensors, as in the scenarios MotionCapture, Planar",
     ),
     "too_many_sensors": (
         _text("{sensors: {tool: {count: 65}}}"),

@@ -287,7 +287,9 @@ def read_samples(path: Path, kinds: tuple[str, ...] | None = None) -> Samples:
     samples = Samples(column=column, metadata=metadata)
     scans = path.with_name("scans.parquet")
     if kinds is None and scans.exists():
-        samples.scan = _split_scan_table(_read_table(scans), samples.rings)
+        # Links that other sensors watch have no scans.
+        rings = metadata.get("ring_geometry", samples.rings)
+        samples.scan = _split_scan_table(_read_table(scans), rings)
     return samples
 
 
