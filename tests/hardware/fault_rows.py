@@ -543,7 +543,7 @@ ROBOT_ROWS: tuple[Row, ...] = (
         Row(
             name=f"program {what}",
             act=act,
-            says=f"task: {what}",
+            says=f"program: {what}",
             zero=32,
             still=220,
         )
