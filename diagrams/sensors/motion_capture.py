@@ -69,6 +69,8 @@ def add_motion_capture_to_monitor(
     monitor: Monitor, name: str, capture: MotionCapture
 ) -> Sensing:
     """Adds the separation of motion capture; it has no side in the world."""
+    if monitor.person_radii is None:
+        raise ValueError("person_radii: motion capture needs the person's")
     links = tuple(capture.links)
     system = monitor.builder.AddNamedSystem(
         f"separation_{name}",

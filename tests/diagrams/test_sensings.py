@@ -88,7 +88,7 @@ class TestPorts:
 
     def test_the_person_is_seen_by_the_lidar_alone(self):
         station = make("PlanarLidar")[1].station.diagram
-        reached = find_reached(find_connections(station), "human")
+        reached = find_reached(find_connections(station), "visitor")
         assert reached == {"scene_graph", "lidar"}
 
     def test_ideal_sensing_has_to_know_the_person(self):
@@ -116,7 +116,7 @@ class TestLaw:
             scenario = load_scenario(
                 name="PlanarLidar",
                 text="{sensors: {lidar: {separation: "
-                f"{{distance_rule: {rule}}}}}}}",
+                f"{{distance_rule: {rule}}}}}}}}}",
             )
             (offset,) = find_threshold_offsets(scenario)
             law = scenario.law.grow(offset)

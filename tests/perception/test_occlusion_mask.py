@@ -36,6 +36,8 @@ RADIUS = 0.1
 class SphereTwin:
     """A robot that is a sphere; joint 0 is how far its near side is."""
 
+    num_joints = 6
+
     def __init__(self):
         self.asked = []
 
@@ -110,7 +112,7 @@ def make_scan(distance, status=0, *, sequence=0, time=1.0, n=8):
 def make_history(
     times, positions, gripper_closed=0.0, products_placed=0.0, scale=10.0
 ):
-    table = mut.make_robot_history(len(times))
+    table = mut.make_robot_history(len(times), 6)
     for time, position in zip(times, positions, strict=True):
         q = np.zeros(6)
         q[0] = position
@@ -183,7 +185,7 @@ class TestHistory(unittest.TestCase):
         self.assertEqual(mut.interpolate_reports(history, 1.1)[1], 0.6)
 
     def test_unused_rows_are_not_looked_at(self):
-        table = mut.make_robot_history(5)
+        table = mut.make_robot_history(5, 6)
         mut.push_report(table, 1.0, np.array([0.3] * 6 + [0.0] * 6 + [1, 4]))
         for time in (0.9, 1.0, 1.1):
             dut = mut.interpolate_reports(table, time)

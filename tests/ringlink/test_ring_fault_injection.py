@@ -47,17 +47,22 @@ def run(kind, count=10, *, sensor=None):
     return result
 
 
+COUNTS = {"base": 8, "elbow": 8, "tool": 16}
+
+
 class TestParse(unittest.TestCase):
     def test_reads(self):
         self.assertEqual(
-            mut.parse_ring_fault("silent:elbow@20-25.5"),
+            mut.parse_ring_fault("silent:elbow@20-25.5", COUNTS),
             mut.RingFault(kind="silent", ring="elbow", start=20.0, end=25.5),
         )
         self.assertEqual(
-            mut.parse_ring_fault("status253:tool.3@20"),
+            mut.parse_ring_fault("status253:tool.3@20", COUNTS),
             mut.RingFault(kind="status253", ring="tool", start=20.0, sensor=3),
         )
-        self.assertEqual(mut.parse_ring_fault("late:base@3").end, np.inf)
+        self.assertEqual(
+            mut.parse_ring_fault("late:base@3", COUNTS).end, np.inf
+        )
 
     def test_reports_mistakes(self):
         for text, message in (
@@ -77,7 +82,7 @@ class TestParse(unittest.TestCase):
         ):
             with self.subTest(text=text):
                 with self.assertRaisesRegex(UserError, message):
-                    mut.parse_ring_fault(text, sensors=8)
+                    mut.parse_ring_fault(text, COUNTS)
 
 
 class TestFaults(unittest.TestCase):

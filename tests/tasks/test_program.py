@@ -102,7 +102,7 @@ class TestConfig(unittest.TestCase):
         self.assertGreater(speed, 0.8)
 
     def test_a_refusal_of_the_planner_is_an_error(self):
-        path = mut._Path(np.zeros(1), *np.full((3, 1), 1.0))
+        path = mut.PathBuilder(np.zeros(1), *np.full((3, 1), 1.0))
         for velocity in (2.0, np.nan):
             with self.assertRaisesRegex(UserError, "no motion within"):
                 path.move(np.ones(1), np.array([velocity]))
