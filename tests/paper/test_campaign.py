@@ -145,7 +145,7 @@ class TestFolder(unittest.TestCase):
         for changes, message in (
             ({"scenario": {"law": {"C_dC": 0.4}}}, "scenario.law.C_dC: 0.3 th"),
             ({"scenario": {"law": {}}}, "scenario.law.C_dC is no longer"),
-            ({"scenario": {"ssm": {"C_dC": 0.3}, "x": 1}}, "scenario.x is new"),
+            ({"scenario": {"law": {"C_dC": 0.3}, "x": 1}}, "scenario.x is new"),
             ({"versions": {"drake": "2.0"}}, "versions.drake: '1.51.1' then"),
             ({"motions": {"a.bvh": "0"}}, "motions.a.bvh is new"),
             ({"sensings": ["tof"]}, "without cell lidar vo now"),

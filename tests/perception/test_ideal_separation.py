@@ -153,6 +153,8 @@ def test_closing_speed_is_how_fast_the_distance_shrinks(p, v, a, b, va, r):
 class Kinematics:
     """Three links, at the joints 0 to 2 along x, that move as those do."""
 
+    num_joints = 6
+
     def calc(self, q, qd):
         p, v = np.zeros((3, 3)), np.zeros((3, 3))
         p[:, 0], v[:, 0] = q[:3], qd[:3]

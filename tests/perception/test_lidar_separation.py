@@ -215,6 +215,8 @@ class TestSpeeds:
 class Kinematics:
     """A tool that moves along x as fast as joint 0 turns."""
 
+    num_joints = 6
+
     def calc_sites(self, q, qd):
         return np.zeros((2, 3, 4)), np.array([[9, 9, 9], [qd[0], 0, 0]])
 

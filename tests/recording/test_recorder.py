@@ -304,7 +304,10 @@ class TestSampleRecorder(unittest.TestCase):
 
     def test_signals_of_any_name(self):
         self.dut = mut.SampleRecorder(
-            truth=_CountingTruth(), rings=RINGS, signals=("margin",)
+            truth=_CountingTruth(),
+            rings=RINGS,
+            num_sensors={},
+            signals=("margin",),
         )
         empty = make_empty_decision(RINGS, ("margin",))
         self.assertEqual(list(empty.signal), ["margin"])
@@ -430,5 +433,7 @@ class TestSampleRecorder(unittest.TestCase):
 
 class TestNoState(unittest.TestCase):
     def test_no_state(self):
-        dut = mut.SampleRecorder(truth=_CountingTruth(), rings=RINGS)
+        dut = mut.SampleRecorder(
+            truth=_CountingTruth(), rings=RINGS, num_sensors={}
+        )
         self.assertTrue(dut.CreateDefaultContext().is_stateless())

@@ -64,7 +64,7 @@ class TestConfig(unittest.TestCase):
                 config.check("cell")
 
     def test_limits_without_a_motion_are_an_error(self):
-        slow = r"approach_speed: 0\.8 m/s .* program\.arm_speed; at most"
+        slow = r"approach_speed: 0\.8 m/s .* task\.arm_speed; at most"
         for wrong, message in (
             ({"arm_speed": 0.5}, slow),
             ({"arm_speed": 0.1}, slow),
@@ -77,7 +77,7 @@ class TestConfig(unittest.TestCase):
         ):
             with self.subTest(wrong=wrong):
                 with self.assertRaisesRegex(
-                    UserError, rf"^program\.{message}"
+                    UserError, rf"^task\.{message}"
                 ) as context:
                     mut.make_program_path(
                         mut.PickAndPlace(**wrong), make_kinematics()

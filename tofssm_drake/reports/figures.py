@@ -707,7 +707,8 @@ def make_rings(samples: Samples, *, narrow: bool = False) -> Figure:
     """
     rings = samples.rings
     t = samples["t"]
-    strips = 2 if samples.scan else 1
+    sensing = samples.metadata.get("sensing", "rings")
+    strips = 2 if sensing in ("rings", "mixed") else 1
     with matplotlib.rc_context(STYLE):
         figure = Figure(
             figsize=_size_rings(len(rings), strips, narrow),
@@ -726,7 +727,7 @@ def make_rings(samples: Samples, *, narrow: bool = False) -> Figure:
             columns = 0 if i else 2 if narrow else 4
             ax = axes[strips * i]
             _draw_ring_distance(ax, samples, ring, columns, narrow)
-            if ring in samples.scan:
+            if ring in samples.scan or sensing == "rings":
                 image = _draw_readings(axes[2 * i + 1], samples, ring) or image
             elif strips == 2:
                 axes[2 * i + 1].set_axis_off()
