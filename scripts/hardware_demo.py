@@ -60,7 +60,7 @@ def hardware_demo(
         f"--products: must be from 1 to 10, got {products}",
     )
     require(duration >= 0.0, f"--duration: must be 0 or more, got {duration:g}")
-    scenario = f"{{program: {{products: {products}}}}}"
+    scenario = f"{{task: {{products: {products}}}}}"
     override(load_scenario(text=scenario), ssm=ssm)
     make_folder(out)
     kept = out / "run.mcap"

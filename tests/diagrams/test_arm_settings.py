@@ -13,7 +13,7 @@ from tofssm_drake.errors import UserError
 UR5E = """
 robot: !UrArm
   model: ur5e
-  X_WB: {translation: [0.0, 0.0, 0.72], rpy: [0, 0, 90]}
+  X_WB: {translation: [0.0, 0.0, 0.72], rpy_deg: [0, 0, 90]}
 """
 
 PANDA = """

@@ -152,7 +152,7 @@ class TestConnections(unittest.TestCase):
         """In the station the person reaches the rings but no report."""
         station = self.workcell.station.diagram
         connections = find_connections(station)
-        reached = find_reached(connections, "human")
+        reached = find_reached(connections, "visitor")
         self.assertEqual(
             reached,
             {"scene_graph", "rings_" + "_".join(RINGS)},

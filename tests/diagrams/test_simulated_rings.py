@@ -16,6 +16,8 @@ from tofssm_drake.ringlink.ring_receiver import RingDecoder, RingLinkConfig
 _HOST = 900.0
 """Host's time when the world's is 0, s."""
 
+COUNTS = dict.fromkeys(RINGS, 8)
+
 
 def make_report(time=0.0, position=(0.0, -1.6, 1.0, -1.0, -1.57, 0.0)):
     return SimpleNamespace(
@@ -121,8 +123,8 @@ class TestSimulatedRings(unittest.TestCase):
             seconds=0.6,
             link=link,
             faults=[
-                parse_ring_fault("silent:base@0.2-0.4"),
-                parse_ring_fault("corrupt:tool@0.3"),
+                parse_ring_fault("silent:base@0.2-0.4", COUNTS),
+                parse_ring_fault("corrupt:tool@0.3", COUNTS),
             ],
         )
         base = [time for time, frame, _ in sent if frame.ring == 0]
@@ -150,7 +152,7 @@ class TestSimulatedRings(unittest.TestCase):
                 self.run_rings(
                     seconds=6.0,
                     link=link,
-                    faults=[parse_ring_fault(f"{kind}:tool@1.5")],
+                    faults=[parse_ring_fault(f"{kind}:tool@1.5", COUNTS)],
                 )
                 base, elbow, tool = link.get_scans()
                 self.assertRegex(tool.problem, says)

@@ -7,7 +7,7 @@ import unittest
 
 import numpy as np
 from paper_cell import RINGS, find_kinematics, make_rings
-from pydrake.geometry import Meshcat
+from pydrake.geometry import Meshcat, SceneGraph
 from pydrake.systems.framework import Diagram, LeafSystem
 import yaml
 
@@ -24,6 +24,8 @@ from tofssm_drake.diagrams.workcell import make_workcell
 from tofssm_drake.laws.sensing_problem import SensingProblem
 from tofssm_drake.laws.tri_ssm_law import TriSsm
 from tofssm_drake.metrics.ground_truth import GroundTruth, TruthModel
+from tofssm_drake.people.moving_box import MovingBox, MovingBoxSystem
+from tofssm_drake.perception.fusion import SeparationFusion
 from tofssm_drake.perception.ideal_separation import (
     IdealSeparation,
     IdealSeparationConfig,
@@ -154,6 +156,12 @@ class TestSystemBlocks(unittest.TestCase):
             rtde_systems.RobotReportReceiver(),
             rtde_systems.SliderControl(),
             SensingProblem(deadline=0.1),
+            SeparationFusion([("one",), ("two",)], name=("one", "two")),
+            MovingBoxSystem(
+                scene_graph=SceneGraph(),
+                config=MovingBox(waypoints=[[0.0, 0.0]]),
+                name="box",
+            ),
             interface,
             RingSubscriberSystem(name=RINGS, connection=interface.connection),
         ]

@@ -56,7 +56,7 @@ class TestSimulatedRings(unittest.TestCase):
             *("simulated-rings", "--robot-port", port, "--pty"),
             *("--fault", "corrupt:tool@0.1", "--drift", "40"),
         ) as (rings, line):
-            self.assertIn("simulated rings, 8 sensors each", line)
+            self.assertIn("simulated rings, base of 8 sensors, ", line)
             (address,) = re.findall(r"serial:///dev/\S+", line)
             self.assertIn("refused", rings.stderr.readline())
             with (
@@ -107,7 +107,6 @@ class TestSimulatedRings(unittest.TestCase):
             ["--pty", "--robot-text", "{retry: 1}"],
             "--robot-text:1: robot.retry",
         ),
-        (["--pty", "--sensors-per-ring", "9"], "9 sensors"),
         (["--pty", "--human-motion", "none.bvh"], "none.bvh"),
     ],
 )

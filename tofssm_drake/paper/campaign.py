@@ -61,7 +61,7 @@ def _make_lidar_variant(key, rule, label, question):
         sensings=("lidar",),
         configurations=CONFIGURATIONS,
         changes="{sensors: {lidar: {separation: "
-        f"{{distance_rule: {rule}}}}}}}",
+        f"{{distance_rule: {rule}}}}}}}}}",
     )
 
 
