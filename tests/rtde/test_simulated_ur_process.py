@@ -45,7 +45,7 @@ class TestProcess(unittest.TestCase):
                 line = process.stdout.readline()
                 self.assertRegex(
                     line,
-                    rf"simulated ur10, \d+ Hz, RTDE at {host}:30004, "
+                    rf"simulated UR10, \d+ Hz, RTDE at {host}:30004, "
                     rf"dashboard at {host}:\d+",
                 )
                 self.check_watchdog(host)
