@@ -267,7 +267,7 @@ class HardwareLoop:
         self._station.robot.report = RobotReport(
             sequence=0, position=q, velocity=np.zeros(6)
         )
-        period = max(ring.sensor.period for ring in rings.values())
+        period = max(ring.sensor.traits.period for ring in rings.values())
         for i in range(_WARM_UP):
             self.tick(
                 TickInput(

@@ -18,7 +18,7 @@ def make_ring_budget(
     """
     if control_period is None:
         control_period = scenario.control_period
-    period = ring.sensor.period
+    period = ring.sensor.traits.period
     audit = scenario.audit
     return RingBudget(
         period=period,

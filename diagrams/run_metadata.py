@@ -24,7 +24,6 @@ from tofssm_drake.metrics.standards import make_latency_budget
 from tofssm_drake.people.skeleton import CAPSULES
 from tofssm_drake.recording.samples import make_ring_metadata
 from tofssm_drake.sensors.ring_mount import find_ring_mount
-from tofssm_drake.sensors.vl53l1x import calc_cast_range
 
 _PACKAGES = ("tofssm-drake", "drake", "numba", "numpy", "ruckig")
 
@@ -126,9 +125,9 @@ def _describe_rings(rings, station):
         p_LS = np.array([X.translation() for X in mount.X_LS])
         described[name] = make_ring_metadata(
             azimuth=np.arctan2(p_LS[:, 1], p_LS[:, 0]),
-            fov=math.radians(ring.sensor.fov_deg),
+            fov=math.radians(ring.sensor.traits.fov_deg),
             radius=float(np.linalg.norm(p_LS[0])),
-            max_range=calc_cast_range(ring.sensor),
+            max_range=ring.sensor.traits.cast_range,
         )
     return described
 
@@ -158,8 +157,8 @@ def _list_delays(sensor):
         # The mirror sweeps for a period; the scan's time is its middle.
         lidar = sensor.sensor
         return 0.5 * lidar.period, lidar.period, lidar.latency
-    ranging = sensor.sensor
-    return ranging.timing_budget, ranging.period, ranging.readout_time
+    traits = sensor.sensor.traits
+    return traits.integration_time, traits.period, traits.delivery_time
 
 
 def _find_link_offsets(scenario, station):

@@ -61,9 +61,10 @@ def iterate_wake_times(scenario: Scenario) -> Iterator[float]:
         scenario: Checked settings.
     """
     times = {
-        (ring.phase or ring.sensor.period, ring.sensor.period, latency)
+        (ring.phase or traits.period, traits.period, latency)
         for ring in find_rings(scenario.sensors).values()
-        for latency in (0.0, ring.sensor.latency)
+        for traits in [ring.sensor.traits]
+        for latency in (0.0, traits.latency)
     }
     return heapq.merge(
         *(
@@ -137,7 +138,8 @@ class SimulatedRings:
         ):
             self._diagram.GetInputPort(name).FixValue(context, np.zeros(size))
         Simulator(self._diagram, context).AdvanceTo(
-            2.0 * max(ring.sensor.period for ring in self._rings.values())
+            2.0
+            * max(ring.sensor.traits.period for ring in self._rings.values())
         )
 
     def advance(self, time: float, report: Report, now: float) -> None:
@@ -166,8 +168,8 @@ class SimulatedRings:
             frame = make_frame(
                 scan,
                 ring=self._ring_numbers[i],
-                timing_budget=config.sensor.timing_budget,
-                period=config.sensor.period,
+                timing_budget=config.sensor.traits.integration_time,
+                period=config.sensor.traits.period,
                 clock=self._clocks[i],
             )
             self._injectors[i].put(frame, scan.time)

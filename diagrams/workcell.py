@@ -27,7 +27,6 @@ from tofssm_drake.diagrams.sensors.rings import find_rings, group_rings
 from tofssm_drake.diagrams.station import Station, make_station
 from tofssm_drake.metrics.ground_truth import TruthModel
 from tofssm_drake.recording.recorder import SampleRecorder
-from tofssm_drake.sensors.vl53l1x import calc_cast_range
 from tofssm_drake.visualization.recording import FPS, set_scene
 from tofssm_drake.visualization.ring_rays import RingRays
 from tofssm_drake.visualization.state_light import StateLight
@@ -186,14 +185,14 @@ def _add_display(builder, scenario, station, monitor, meshcat):
     )
     groups = group_rings(find_rings(scenario.sensors))
     for i, group in enumerate(groups):
-        sensor = group.one.sensor
+        sensor = group.traits
         rays = builder.AddNamedSystem(
             f"ring_rays_{i}" if i else "ring_rays",
             RingRays(
                 meshcat=meshcat,
                 plant=station.plant,
                 fov=math.radians(sensor.fov_deg),
-                max_range=calc_cast_range(sensor),
+                max_range=sensor.cast_range,
                 rings=group.name,
                 sensors_per_ring=group.one.num_sensors,
                 period=period,

@@ -17,6 +17,16 @@ def require(condition: bool, message: str) -> None:
         raise UserError(message)
 
 
+def check_range(
+    where: str, name: str, value: float, low: float, high: float
+) -> None:
+    """Raises UserError unless low <= value <= high (NaN is outside)."""
+    require(
+        isinstance(value, (int, float)) and low <= value <= high,
+        f"{where}.{name}: {value} is out of range; use {low:g} to {high:g}",
+    )
+
+
 def require_period(period: float) -> None:
     """Raises UserError unless a control tick is longer than 0 s.
 

@@ -2,9 +2,22 @@
 
 from collections.abc import Callable
 import importlib
+import os
+import sys
+from types import ModuleType
 from typing import Any
 
 from tofssm_drake.errors import UserError, require
+
+
+def import_here(name: str) -> ModuleType:
+    """Imports a module, which may be in the current folder."""
+    before = list(sys.path)
+    sys.path.insert(0, os.getcwd())
+    try:
+        return importlib.import_module(name)
+    finally:
+        sys.path[:] = before
 
 
 def find_factory(factory: str, *, where: str) -> Callable[..., Any]:
@@ -23,7 +36,7 @@ def find_factory(factory: str, *, where: str) -> Callable[..., Any]:
         f'{where}: {factory!r} must be "package.module:function"',
     )
     try:
-        module = importlib.import_module(module_name)
+        module = import_here(module_name)
     except ImportError as error:
         raise UserError(
             f"{where}: cannot import {factory!r}: {error}"

@@ -28,10 +28,10 @@ from tofssm_drake.perception.self_hit_watch import (
 from tofssm_drake.perception.separation import TofSeparation, make_ring_geometry
 from tofssm_drake.perception.twin import TwinPoses
 from tofssm_drake.raycast.ray_caster import RayCaster
+from tofssm_drake.sensors.range_sensor import SensorTraits, draw_constants
 from tofssm_drake.sensors.ring import Ring
 from tofssm_drake.sensors.ring_mount import find_ring_mount
 from tofssm_drake.sensors.tof_rings import TofRings, make_ring_bundles
-from tofssm_drake.sensors.vl53l1x import SensorErrors, draw_sensor_errors
 
 # Noise is drawn for this many scans at a time.
 _NOISE_SCANS = 16
@@ -54,6 +54,11 @@ class RingGroup:
     def one(self) -> Ring:
         """A ring, for what they have in common."""
         return next(iter(self.rings.values()))
+
+    @property
+    def traits(self) -> SensorTraits:
+        """Of their sensor model."""
+        return self.one.sensor.traits
 
     def find_dead_sensors(self) -> np.ndarray:
         """Returns whether each sensor is declared dead, ring by ring, (N,)."""
@@ -126,21 +131,13 @@ def _add_group(world, group):
             bundles=make_ring_bundles(
                 config=sensor, caster=world.caster, mounts=mounts
             ),
-            errors=_draw_errors(group, world.random_seed),
+            constants=_draw_constants(group, world.random_seed),
             phase=group.one.phase,
             noise_scans=_NOISE_SCANS,
             name=group.name,
         ),
     )
-    noise = builder.AddNamedSystem(
-        f"noise_{name}",
-        RandomSource(
-            distribution=RandomDistribution.kGaussian,
-            num_outputs=system.GetInputPort("noise").size(),
-            sampling_interval_sec=_NOISE_SCANS * sensor.period,
-        ),
-    )
-    builder.Connect(noise.get_output_port(), system.GetInputPort("noise"))
+    _add_noise(builder, f"noise_{name}", system, group.traits.period)
     builder.Connect(
         world.scene_graph.get_query_output_port(),
         system.GetInputPort("geometry_query"),
@@ -150,20 +147,34 @@ def _add_group(world, group):
         builder.ExportOutput(system.GetOutputPort(port), port)
 
 
-def _draw_errors(group, seed):
-    """Returns the constant errors of all sensors of some rings."""
-    errors = [
-        draw_sensor_errors(
-            ring.sensor,
-            sensors=ring.num_sensors,
-            seed=seed,
-            ring=group.number[name],
-        )
-        for name, ring in group.rings.items()
-    ]
-    return SensorErrors(
-        bias=np.concatenate([e.bias for e in errors]),
-        gain=np.concatenate([e.gain for e in errors]),
+def _add_noise(builder, name, rings, period):
+    """Adds the source of the noise, if the sensors have any."""
+    port = rings.GetInputPort("noise")
+    if port.size() == 0:
+        return
+    noise = builder.AddNamedSystem(
+        name,
+        RandomSource(
+            distribution=RandomDistribution.kGaussian,
+            num_outputs=port.size(),
+            sampling_interval_sec=_NOISE_SCANS * period,
+        ),
+    )
+    builder.Connect(noise.get_output_port(), port)
+
+
+def _draw_constants(group, seed):
+    """Draws what tells all sensors of some rings apart."""
+    return np.concatenate(
+        [
+            draw_constants(
+                group.traits,
+                sensors=ring.num_sensors,
+                seed=seed,
+                ring=group.number[name],
+            )
+            for name, ring in group.rings.items()
+        ]
     )
 
 
@@ -258,7 +269,7 @@ def _add_watch(monitor, group, ports, report, suffix) -> OutputPort:
 
 def _calc_look_period(settings, group):
     """Returns the time between looks, a multiple of the control tick."""
-    wanted = settings.self_hits.scans_per_look * group.one.sensor.period
+    wanted = settings.self_hits.scans_per_look * group.traits.period
     tick = settings.control_period
     return max(1, math.ceil(wanted / tick - 1e-6)) * tick
 
@@ -275,7 +286,7 @@ def make_group_self_hits(monitor: Monitor, group: RingGroup) -> SelfHitModel:
     return make_self_hit_model(
         config=monitor.settings.self_hits,
         mask_config=monitor.settings.mask,
-        sensor=group.one.sensor,
+        sensor=group.traits,
         caster=caster,
         mounts=[
             find_ring_mount(monitor.plant, inspector, name)
@@ -307,7 +318,7 @@ def _add_mask(monitor, group, name):
     ]
     parts = {
         "config": settings.mask,
-        "sensor": group.one.sensor,
+        "sensor": group.traits,
         "caster": caster,
         "mounts": mounts,
     }
@@ -317,6 +328,7 @@ def _add_mask(monitor, group, name):
         name,
         OcclusionMask(
             config=settings.mask,
+            sensor=group.traits,
             caster=caster,
             period=settings.control_period,
             proof_bundles=proof,

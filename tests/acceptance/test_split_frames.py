@@ -12,7 +12,7 @@ from paper_cell import RINGS
 import pytest
 
 from tofssm_drake.ringlink.ring_frame import SEQUENCE_BITS, TIME_BITS
-from tofssm_drake.sensors.vl53l1x import STATUS_NO_NEW_DATA
+from tofssm_drake.sensors.range_status import STATUS_NO_NEW_DATA
 
 _NO_AGE = 255
 _STEP_MS = 12

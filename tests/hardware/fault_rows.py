@@ -26,7 +26,7 @@ from tofssm_drake.ringlink.ring_frame import (
 )
 from tofssm_drake.rtde.rtde_fields import SafetyMode
 from tofssm_drake.sensors import ring_mount
-from tofssm_drake.sensors.vl53l1x import STATUS_VALID
+from tofssm_drake.sensors.range_status import STATUS_VALID
 
 # Who sees the person: a sensor that sees nothing of robot and cell meanwhile.
 RING, SENSOR = "tool", 0

@@ -38,7 +38,7 @@ from tofssm_drake.rtde.rtde_protocol import Recipe, RtdeError
 from tofssm_drake.rtde.rtde_report import ReportMaker, list_outputs
 from tofssm_drake.rtde.simulated_ur import SimulatedUr
 from tofssm_drake.rtde.slider import SliderPhase
-from tofssm_drake.sensors.vl53l1x import STATUS_VALID
+from tofssm_drake.sensors.range_status import STATUS_VALID
 
 CYCLE = 0.008
 # Host's time at the beginning, s.

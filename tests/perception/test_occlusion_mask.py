@@ -17,6 +17,7 @@ from pydrake.geometry import (
 from pydrake.math import RigidTransform, RotationMatrix
 from pydrake.systems.analysis import Simulator
 
+from tofssm_drake.diagrams.scenario import Scenario, change_settings
 from tofssm_drake.errors import UserError
 from tofssm_drake.messages import MaskedScan, Reading, RingScan, SensorFault
 import tofssm_drake.perception.occlusion_mask as mut
@@ -28,6 +29,8 @@ from tofssm_drake.raycast.fan import make_cone_fan
 from tofssm_drake.raycast.ray_caster import RayCaster
 from tofssm_drake.sensors.ring_mount import RingMount
 from tofssm_drake.sensors.vl53l1x import Vl53l1x
+
+SENSOR = Vl53l1x().traits
 
 CLEAR, VALID, MASKED, FAULTED, HELD = Reading
 RADIUS = 0.1
@@ -48,7 +51,7 @@ class SphereTwin:
         return X_WF
 
 
-def make_cell(config, n=8, names=("base",)):
+def make_cell(config, n=8, names=("base",), sensor=SENSOR):
     """Rings at the origin of the world, their sensors 0 look along x."""
     scene_graph = SceneGraph()
     source_id = scene_graph.RegisterSource("twin")
@@ -65,7 +68,7 @@ def make_cell(config, n=8, names=("base",)):
     ]
     mounting = dict(
         config=config,
-        sensor=Vl53l1x(),
+        sensor=sensor,
         caster=caster,
         mounts=[
             RingMount(
@@ -79,6 +82,7 @@ def make_cell(config, n=8, names=("base",)):
         ],
     )
     return dict(
+        sensor=sensor,
         caster=caster,
         bundles=mut.make_mask_bundles(**mounting),
         proof_bundles=mut.make_proof_bundles(**mounting),
@@ -125,10 +129,14 @@ def make_history(
 
 
 class TestConfig(unittest.TestCase):
-    def test_default_tolerance_covers_the_datasheet(self):
-        dut = mut.OcclusionMaskConfig()
-        dut.check("mask")
-        self.assertGreaterEqual(dut.tolerance, 0.025)
+    def test_what_the_sensor_knows_is_set_there(self):
+        for key in ("sigma", "min_range", "max_range"):
+            with self.assertRaisesRegex(
+                UserError, rf"mask\.{key}: is now .*sensors\.<ring>\.sensor"
+            ):
+                change_settings(
+                    Scenario(), f"{{mask: {{{key}: 0.1}}}}", source="text"
+                )
 
     def test_loads_and_checks(self):
         dut = yaml_load_typed(
@@ -136,19 +144,16 @@ class TestConfig(unittest.TestCase):
         )
         self.assertFalse(dut.enabled)
         for name, bad in (
-            ("sigma", -0.1),
             ("edge_margin_deg", -1.0),
             ("time_margin", 1.0),
             ("rays_per_sensor", -1),
-            ("min_range", 1.0),
-            ("max_range", np.nan),
             ("max_age", 0.0),
         ):
             with self.assertRaisesRegex(UserError, f"here.{name}: "):
                 mut.OcclusionMaskConfig(**{name: bad}).check("here")
 
     def test_rays_are_the_rings_and_a_circle_beyond(self):
-        sensor = Vl53l1x()
+        sensor = SENSOR
         for rays, margin, expected in ((0, 0.0, 25), (9, 0.0, 9), (0, 1, 41)):
             config = mut.OcclusionMaskConfig(
                 rays_per_sensor=rays, edge_margin_deg=margin
@@ -275,8 +280,8 @@ class TestMaskScan(unittest.TestCase):
 
     def mask_moving(self, distance, still=False, **settings):
         """The robot comes at 1.5 m/s and is at 0.5 m at the sample's time."""
-        config = mut.OcclusionMaskConfig(sigma=0.0, **settings)
-        cell = make_cell(config)
+        config = mut.OcclusionMaskConfig(**settings)
+        cell = make_cell(config, sensor=dc.replace(SENSOR, tolerance=0.0))
         times = 1.0 + 0.008 * np.arange(5)
         dut = mask_scan(
             config,
@@ -466,9 +471,9 @@ def mask_in_full(config, *, scan, before, time, table, cell, ring):
             time - sensor_time,
             nearest,
             farthest,
-            config.tolerance,
-            config.min_range,
-            config.max_range,
+            cell["sensor"].tolerance,
+            cell["sensor"].min_range,
+            cell["sensor"].max_range,
             config.max_age,
         )
         return reading, fault, counted, nearest, farthest
@@ -535,7 +540,7 @@ def mask_in_full(config, *, scan, before, time, table, cell, ring):
         X_WF = cell["twin"].calc(report[1:7], report[13], report[14])
         rays, _ = cell["caster"].cast_bundles(cell["proof_bundles"], X_WF)
         rays = rays[rows][i]
-        if ((rays >= config.min_range) & (rays <= 0.9)).sum() >= 2:
+        if ((rays >= SENSOR.min_range) & (rays <= 0.9)).sum() >= 2:
             is_proven = False
     for i in range(n):
         remember_in_full(
@@ -689,10 +694,10 @@ class TestMaskScans(unittest.TestCase):
             ),
         )
 
-    def check(self, seed, config):
+    def check(self, seed, config, sensor):
         """Compares a run of scans with the straightforward way."""
         rng = np.random.default_rng(seed)
-        cell = make_cell(config, names=RINGS)
+        cell = make_cell(config, names=RINGS, sensor=sensor)
         # The robot says whether it moves.
         speed, scale = rng.choice([-1.5, 0.0, 1.5]), rng.choice([0.0, 1.0])
         times = 0.008 * np.arange(12)
@@ -792,15 +797,16 @@ class TestMaskScans(unittest.TestCase):
 
     def test_as_without_leaving_anything_out(self):
         self.seen = set()
-        for config in (
-            mut.OcclusionMaskConfig(),
-            mut.OcclusionMaskConfig(time_margin=0.0),
-            mut.OcclusionMaskConfig(time_margin=0.02, sigma=0.002),
-            mut.OcclusionMaskConfig(enabled=False),
+        exact = dc.replace(SENSOR, tolerance=0.006)
+        for config, sensor in (
+            (mut.OcclusionMaskConfig(), SENSOR),
+            (mut.OcclusionMaskConfig(time_margin=0.0), SENSOR),
+            (mut.OcclusionMaskConfig(time_margin=0.02), exact),
+            (mut.OcclusionMaskConfig(enabled=False), SENSOR),
         ):
             for seed in range(40):
                 with self.subTest(config=config, seed=seed):
-                    self.check(seed, config)
+                    self.check(seed, config, sensor)
         self.assertEqual(self.seen, set(Reading))
 
     def test_sensors_that_see_nothing_cost_no_look(self):

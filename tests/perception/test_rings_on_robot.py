@@ -37,16 +37,16 @@ from tofssm_drake.perception.separation import (
 )
 from tofssm_drake.perception.twin import TwinPoses
 from tofssm_drake.raycast.ray_caster import RayCaster
+from tofssm_drake.sensors.range_sensor import draw_constants
 import tofssm_drake.sensors.ring_mount as mut
 from tofssm_drake.sensors.tof_rings import (
     TofRings,
-    Vl53l1x,
     make_ring_bundles,
 )
 from tofssm_drake.sensors.vl53l1x import (
     NOISE_DRAWS,
-    SensorErrors,
-    draw_sensor_errors,
+    Vl53l1x,
+    make_sensor_errors,
     measure,
 )
 from tofssm_drake.tasks.products import ProductLayout, calc_product_positions
@@ -70,7 +70,7 @@ class Twin:
         self.path = make_program_path(config, self.kinematics)
         self.bundles = make_mask_bundles(
             config=OcclusionMaskConfig(),
-            sensor=Vl53l1x(),
+            sensor=Vl53l1x().traits,
             caster=self.caster,
             mounts=self.mounts,
         )
@@ -148,8 +148,11 @@ class TestReadingsOfTheRobotItself(unittest.TestCase):
                     config,
                     ray_distance=rays,
                     noise=generator.standard_normal((8, NOISE_DRAWS)),
-                    errors=draw_sensor_errors(
-                        config, sensors=8, seed=seed, ring=ring
+                    errors=make_sensor_errors(
+                        config,
+                        draw_constants(
+                            config.traits, sensors=8, seed=seed, ring=ring
+                        ),
                     ),
                 )
                 nearest, farthest = calc_self_interval(rays)
@@ -159,9 +162,9 @@ class TestReadingsOfTheRobotItself(unittest.TestCase):
                     np.zeros(8),
                     nearest,
                     farthest,
-                    mask.tolerance,
-                    mask.min_range,
-                    mask.max_range,
+                    config.traits.tolerance,
+                    config.traits.min_range,
+                    config.traits.max_range,
                     mask.max_age,
                 )
                 self.assertNotIn(Reading.VALID, reading)
@@ -277,6 +280,7 @@ def make_diagram(*, start, phases, mask_config, person=None, seed=0):
         OcclusionMask(
             name=RINGS,
             config=mask_config,
+            sensor=config.traits,
             caster=twin.caster,
             bundles=twin.bundles,
             twin=twin.poses,
@@ -288,10 +292,6 @@ def make_diagram(*, start, phases, mask_config, person=None, seed=0):
     for phase in sorted(set(phases)):
         index = [i for i, p in enumerate(phases) if p == phase]
         names = tuple(RINGS[i] for i in index)
-        errors = [
-            draw_sensor_errors(config, sensors=8, seed=seed, ring=i)
-            for i in index
-        ]
         rings = builder.AddSystem(
             TofRings(
                 config=config,
@@ -306,9 +306,13 @@ def make_diagram(*, start, phases, mask_config, person=None, seed=0):
                         for ring in names
                     ],
                 ),
-                errors=SensorErrors(
-                    bias=np.concatenate([e.bias for e in errors]),
-                    gain=np.concatenate([e.gain for e in errors]),
+                constants=np.concatenate(
+                    [
+                        draw_constants(
+                            config.traits, sensors=8, seed=seed, ring=i
+                        )
+                        for i in index
+                    ]
                 ),
                 phase=phase,
                 name=names,

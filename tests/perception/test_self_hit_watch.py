@@ -38,13 +38,12 @@ import tofssm_drake.perception.self_hit_watch as mut
 from tofssm_drake.perception.twin import TwinPoses
 from tofssm_drake.raycast.fan import make_cone_fan
 from tofssm_drake.raycast.ray_caster import RayCaster
+from tofssm_drake.sensors.range_sensor import draw_constants
 from tofssm_drake.sensors.ring_mount import find_ring_mount
 from tofssm_drake.sensors.vl53l1x import (
     NOISE_DRAWS,
-    SensorErrors,
     Vl53l1x,
-    calc_cast_range,
-    draw_sensor_errors,
+    make_sensor_errors,
     measure,
 )
 from tofssm_drake.tasks.products import ProductLayout
@@ -94,7 +93,7 @@ class World:
             fan_S=make_cone_fan(
                 math.radians(config.fov_deg), config.rays_per_sensor
             ),
-            max_range=calc_cast_range(config),
+            max_range=config.traits.cast_range,
             excluded=[m.geometry_ids for m in self.mounts for _ in m.X_FS],
         )
 
@@ -183,14 +182,11 @@ def watch(
     model, path = make_model_and_path()
     state = mut.view_state(model, mut.make_state_vector(model))
     config = Vl53l1x()
-    errors = [
-        draw_sensor_errors(config, sensors=8, seed=seed, ring=i)
+    constants = [
+        draw_constants(config.traits, sensors=8, seed=seed, ring=i)
         for i in range(3)
     ]
-    errors = SensorErrors(
-        bias=np.concatenate([e.bias for e in errors]),
-        gain=np.concatenate([e.gain for e in errors]),
-    )
+    errors = make_sensor_errors(config, np.concatenate(constants))
     generator = np.random.default_rng(seed)
     straight = world.make_bundles()
     moved = world.make_bundles(turn, shift)

@@ -186,7 +186,7 @@ class TestExpectation(unittest.TestCase):
 
     def test_fan_is_wide_then_narrow(self):
         fan_S, num_wide = mut.make_self_hit_fan(
-            mut.SelfHitConfig(), OcclusionMaskConfig(), Vl53l1x()
+            mut.SelfHitConfig(), OcclusionMaskConfig(), Vl53l1x().traits
         )
         angle = np.degrees(np.arccos(np.clip(fan_S[:, 0], -1.0, 1.0)))
         self.assertAlmostEqual(angle[:num_wide].max(), 13.5, places=6)

@@ -16,7 +16,10 @@ from tofssm_drake.ringlink.ring_frame import (
     encode_frame,
     encode_serial,
 )
-from tofssm_drake.sensors.vl53l1x import STATUS_BUS_FAILURE, STATUS_NO_NEW_DATA
+from tofssm_drake.sensors.range_status import (
+    STATUS_BUS_FAILURE,
+    STATUS_NO_NEW_DATA,
+)
 
 _DOCS = pathlib.Path(__file__).parents[2] / "docs"
 

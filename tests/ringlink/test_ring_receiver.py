@@ -17,7 +17,7 @@ from tofssm_drake.ringlink.ring_frame import (
     encode_serial,
 )
 import tofssm_drake.ringlink.ring_receiver as mut
-from tofssm_drake.sensors.vl53l1x import (
+from tofssm_drake.sensors.range_status import (
     STATUS_CONTESTED,
     STATUS_FROZEN,
     STATUS_SELF_TEST,

@@ -24,11 +24,7 @@ from tofssm_drake.messages import RingScan
 from tofssm_drake.raycast.ray_caster import RayCaster
 from tofssm_drake.sensors.ring_mount import RingMount
 import tofssm_drake.sensors.tof_rings as mut
-from tofssm_drake.sensors.vl53l1x import (
-    NOISE_DRAWS,
-    SensorErrors,
-    Vl53l1x,
-)
+from tofssm_drake.sensors.vl53l1x import CONSTANT_DRAWS, NOISE_DRAWS, Vl53l1x
 
 SPEED = 0.5
 RADIUS = 0.1
@@ -78,7 +74,7 @@ def make_mount(name, frame_id, *, X_FS=None, excluded=()):
     )
 
 
-def make_cell(config, *, phase=0.0, errors=None, noise=0.0, housing=False):
+def make_cell(config, *, phase=0.0, constants=None, noise=0.0, housing=False):
     """A ring at the world's origin and a sphere that comes along x."""
     builder = DiagramBuilder()
     scene_graph = builder.AddSystem(SceneGraph())
@@ -110,7 +106,7 @@ def make_cell(config, *, phase=0.0, errors=None, noise=0.0, housing=False):
             config=config,
             caster=caster,
             bundles=bundles,
-            errors=errors,
+            constants=constants,
             phase=phase,
             noise_scans=np.size(noise),
             name=("base",),
@@ -324,9 +320,7 @@ class TestTofRings(unittest.TestCase):
         n = 8
         rng = np.random.default_rng(1)
         noise = rng.standard_normal((3 * n, NOISE_DRAWS))
-        errors = SensorErrors(
-            bias=rng.normal(0.0, 0.01, 3 * n), gain=rng.normal(1.0, 0.1, 3 * n)
-        )
+        constants = rng.standard_normal((3 * n, CONSTANT_DRAWS))
         builder = DiagramBuilder()
         scene_graph = builder.AddSystem(SceneGraph())
         sphere = builder.AddSystem(MovingSphere(scene_graph))
@@ -366,9 +360,7 @@ class TestTofRings(unittest.TestCase):
                     bundles=mut.make_ring_bundles(
                         config=config, caster=caster, mounts=members
                     ),
-                    errors=SensorErrors(
-                        bias=errors.bias[sensors], gain=errors.gain[sensors]
-                    ),
+                    constants=constants[sensors],
                     phase=0.008,
                     name=tuple(mount.name for mount in members),
                 )
@@ -440,7 +432,8 @@ class TestTofRings(unittest.TestCase):
             ],
             ["scan_base", "scan_elbow", "scan_tool"],
         )
-        self.assertEqual(dut.GetInputPort("noise").size(), 24 * NOISE_DRAWS)
+        # Ideal sensors need none.
+        self.assertEqual(dut.GetInputPort("noise").size(), 0)
 
     def test_rejects_rays_that_do_not_suit_the_rings(self):
         for num_bundles in (0, 8, 2):
@@ -456,13 +449,13 @@ class TestTofRings(unittest.TestCase):
 
     def test_real_sensors_use_noise_and_errors(self):
         config = Vl53l1x()
-        errors = SensorErrors(bias=np.full(8, 0.01), gain=np.ones(8))
+        constants = np.tile([0.01 / config.bias_sigma, 0.0], (8, 1))
         scan = self.run_until(
-            make_cell(config, errors=errors, noise=0.0), [0.04]
+            make_cell(config, constants=constants, noise=0.0), [0.04]
         )[0]
         self.assertAlmostEqual(scan.distance[0], 0.998)
         noisy = self.run_until(
-            make_cell(config, errors=errors, noise=1.0), [0.04]
+            make_cell(config, constants=constants, noise=1.0), [0.04]
         )[0]
         self.assertAlmostEqual(noisy.distance[0], 1.000, delta=1e-9)
 
@@ -495,7 +488,7 @@ class TestTofRings(unittest.TestCase):
         with self.assertRaisesRegex(ValueError, "8 sensors"):
             make_cell(
                 make_ideal(),
-                errors=SensorErrors(bias=np.zeros(16), gain=np.ones(16)),
+                constants=np.zeros((16, CONSTANT_DRAWS)),
             )
 
     def test_rejects_bad_phase(self):

@@ -7,6 +7,7 @@ import numpy as np
 from pydrake.common.yaml import yaml_load_typed
 
 from tofssm_drake.errors import UserError
+from tofssm_drake.sensors.range_sensor import draw_constants
 import tofssm_drake.sensors.vl53l1x as mut
 
 QUIET = dict(
@@ -31,7 +32,8 @@ def measure(config, ray_distance, noise=None, errors=None, seed=0):
         config,
         ray_distance=ray_distance,
         noise=noise,
-        errors=errors or mut.make_perfect_sensor_errors(n),
+        errors=errors
+        or mut.make_sensor_errors(config, np.zeros((n, mut.CONSTANT_DRAWS))),
     )
 
 
@@ -62,11 +64,32 @@ class TestConfig(unittest.TestCase):
                         config.check("sensor")
 
     def test_cast_range(self):
-        self.assertEqual(mut.calc_cast_range(mut.Vl53l1x(ideal=True)), 1.31)
-        self.assertEqual(mut.calc_cast_range(mut.Vl53l1x()), 1.36)
-        self.assertEqual(
-            mut.calc_cast_range(mut.Vl53l1x(usable_range=1.5)), 1.5
-        )
+        self.assertEqual(mut.Vl53l1x(ideal=True).traits.cast_range, 1.31)
+        self.assertEqual(mut.Vl53l1x().traits.cast_range, 1.36)
+        self.assertEqual(mut.Vl53l1x(usable_range=1.5).traits.cast_range, 1.5)
+
+    def test_traits(self):
+        dut = mut.Vl53l1x().traits
+        dut.check("sensor")
+        self.assertAlmostEqual(dut.period, 0.024)
+        self.assertEqual(dut.delivery_time, 0.005)
+        self.assertAlmostEqual(dut.max_range, 1.45)
+        # More than the datasheet's +-25 mm.
+        self.assertEqual(dut.tolerance, 0.030)
+        self.assertEqual(mut.Vl53l1x(ideal=True).traits.noise_draws, 0)
+
+    def test_surely_seen_range(self):
+        """To within 2 in 1000, and never beyond the range."""
+        n = 100000
+        for changes in ({}, {"range_falloff": 0.1}, {"usable_range": 0.5}):
+            config = mut.Vl53l1x(
+                **{"dropout": 0.0, "sigma_limit": 0.0}, **changes
+            )
+            sure = config.traits.sure_range
+            _, status = measure(config, np.full((n, 1), sure))
+            self.assertAlmostEqual((status == 0).mean(), 0.998, delta=5e-4)
+        self.assertEqual(mut.Vl53l1x(range_falloff=1.0).traits.sure_range, 0.0)
+        self.assertGreater(mut.Vl53l1x().traits.sure_range, 0.9)
 
 
 class TestMeasure(unittest.TestCase):
@@ -115,10 +138,16 @@ class TestMeasure(unittest.TestCase):
 
     def test_errors_follow_the_seed(self):
         config = mut.Vl53l1x()
-        one = mut.draw_sensor_errors(config, sensors=2000, seed=3)
-        same = mut.draw_sensor_errors(config, sensors=2000, seed=3)
-        other = mut.draw_sensor_errors(config, sensors=2000, seed=4)
-        ring = mut.draw_sensor_errors(config, sensors=2000, seed=3, ring=1)
+
+        def draw(seed, ring=0):
+            return mut.make_sensor_errors(
+                config,
+                draw_constants(
+                    config.traits, sensors=2000, seed=seed, ring=ring
+                ),
+            )
+
+        one, same, other, ring = draw(3), draw(3), draw(4), draw(3, ring=1)
         np.testing.assert_array_equal(one.bias, same.bias)
         np.testing.assert_array_equal(one.gain, same.gain)
         self.assertFalse((one.bias == other.bias).all())
@@ -187,7 +216,7 @@ class TestMeasure(unittest.TestCase):
         self.assertAlmostEqual(distance[0], 0.64)
         self.assertEqual(status[0], 0)
         self.assertNotEqual(status[1], 0)
-        self.assertEqual(mut.calc_cast_range(config), 4.0)
+        self.assertEqual(config.traits.cast_range, 4.0)
 
     @settings(deadline=None, max_examples=50)
     @given(

@@ -2,15 +2,13 @@
 
 from collections.abc import Callable
 import dataclasses as dc
-import importlib
 import inspect
-import os
-import sys
 
 import numpy as np
 from pydrake.systems.framework import PortDataType, System
 
 from tofssm_drake.errors import UserError, require
+from tofssm_drake.factory import import_here
 from tofssm_drake.laws.law import Law, LawTraits
 from tofssm_drake.messages import (
     RingHealth,
@@ -126,7 +124,7 @@ def find_factory(factory: str, *, where: str) -> Callable:
         f'{where}: {factory!r} must be "package.module:function"',
     )
     try:
-        module = _import_here(module_name)
+        module = import_here(module_name)
     except ModuleNotFoundError as error:
         if error.name and f"{module_name}.".startswith(f"{error.name}."):
             raise UserError(
@@ -146,16 +144,6 @@ def find_factory(factory: str, *, where: str) -> Callable:
         f"{where}: module {module_name!r} has no function {name!r}",
     )
     return function
-
-
-def _import_here(name):
-    """Imports a module, which may be in the current folder."""
-    before = list(sys.path)
-    sys.path.insert(0, os.getcwd())
-    try:
-        return importlib.import_module(name)
-    finally:
-        sys.path[:] = before
 
 
 def check_law_system(

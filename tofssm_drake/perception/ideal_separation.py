@@ -7,7 +7,7 @@ import numpy as np
 from pydrake.common.value import Value
 from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
 
-from tofssm_drake.errors import require_period
+from tofssm_drake.errors import check_range, require_period
 from tofssm_drake.kernels import njit
 from tofssm_drake.messages import (
     Reading,
@@ -29,7 +29,6 @@ from tofssm_drake.perception.separation import (
     make_columns,
     saturate,
 )
-from tofssm_drake.sensors.vl53l1x import check_range
 
 # As compile-time constants for the kernel.
 _CLEAR = int(Reading.CLEAR)

@@ -15,7 +15,7 @@ import numpy as np
 from pydrake.common.value import Value
 from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
 
-from tofssm_drake.errors import require, require_period
+from tofssm_drake.errors import check_range, require, require_period
 from tofssm_drake.kernels import njit
 from tofssm_drake.messages import (
     LidarScan,
@@ -30,7 +30,6 @@ from tofssm_drake.perception.separation import (
     make_columns,
     saturate,
 )
-from tofssm_drake.sensors.vl53l1x import check_range
 
 # As compile-time constants for the kernels.
 _CLEAR = int(Reading.CLEAR)

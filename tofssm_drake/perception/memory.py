@@ -28,10 +28,9 @@ import dataclasses as dc
 
 import numpy as np
 
-from tofssm_drake.errors import require
+from tofssm_drake.errors import check_range, require
 from tofssm_drake.kernels import njit
 from tofssm_drake.messages import Reading, SensorFault
-from tofssm_drake.sensors.vl53l1x import check_range
 
 _CLEAR = int(Reading.CLEAR)
 _VALID = int(Reading.VALID)

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 import dataclasses as dc
 import functools
 import math
-from typing import NamedTuple, Protocol
+from typing import ClassVar, NamedTuple, Protocol
 
 import numpy as np
 from pydrake.common.value import Value
@@ -16,7 +16,7 @@ from pydrake.systems.framework import (
     State,
 )
 
-from tofssm_drake.errors import require, require_period
+from tofssm_drake.errors import check_range, require, require_period
 from tofssm_drake.kernels import njit
 from tofssm_drake.messages import (
     MaskedScan,
@@ -37,27 +37,28 @@ from tofssm_drake.perception.readings import (
 )
 from tofssm_drake.raycast.fan import make_cone_fan
 from tofssm_drake.raycast.ray_caster import RayBundles, RayCaster
+from tofssm_drake.sensors.range_sensor import SensorTraits
+from tofssm_drake.sensors.range_status import STATUS_NO_NEW_DATA
 from tofssm_drake.sensors.ring_mount import RingMount
-from tofssm_drake.sensors.vl53l1x import (
-    STATUS_NO_NEW_DATA,
-    Vl53l1x,
-    calc_cast_range,
-    check_range,
-)
 
 
 @dc.dataclass(kw_only=True)
 class OcclusionMaskConfig:
-    """Which readings count as the robot's own."""
+    """Which readings count as the robot's own.
+
+    How much a reading may be off, and which are possible at all, the sensor's
+    model says (`SensorTraits`).
+    """
+
+    RENAMED: ClassVar[dict[str, str]] = {
+        "sigma": "sensors.<ring>.sensor.tolerance, which is 3 sigma",
+        "min_range": "sensors.<ring>.sensor.min_range",
+        "max_range": "what sensors.<ring>.sensor can measure, and some more",
+    }
+    """Former keys and where they are now, for the error message."""
 
     # False: nothing is masked, and the robot stops when it sees itself.
     enabled: bool = True
-
-    # Standard deviation of a reading on the robot or its cell, m: readings
-    # within 3 sigma of the expected ones are masked. 3 sigma covers the
-    # datasheet's +-25 mm, plus 5 mm for a sensor whose constant error is at
-    # its bound.
-    sigma: float = 0.010
 
     # Rays that represent a sensor's cone; 0: as many as the ring's.
     rays_per_sensor: int = 0
@@ -74,15 +75,6 @@ class OcclusionMaskConfig:
     # only at the sample's own time.
     time_margin: float = 0.004
 
-    # Below this distance a sensor detects but cannot measure, m: such a
-    # target counts as being as near as possible.
-    min_range: float = 0.040
-
-    # A valid distance beyond this is implausible, m: the sensors' short mode
-    # measures up to 1.36 m; 0.09 m more allow for offset, scale and noise at
-    # that distance.
-    max_range: float = 1.45
-
     # How long obstacles are remembered that a sensor no longer sees.
     memory: SensorMemoryConfig = dc.field(default_factory=SensorMemoryConfig)
 
@@ -90,19 +82,11 @@ class OcclusionMaskConfig:
     # three periods of a ring).
     max_age: float = 0.072
 
-    @property
-    def tolerance(self) -> float:
-        """Widening of the expected interval to each side, m."""
-        return 3.0 * self.sigma
-
     def check(self, where: str) -> None:
         """Raises UserError unless every setting is within its limits."""
-        check_range(where, "sigma", self.sigma, 0.0, 0.1)
         check_range(where, "rays_per_sensor", self.rays_per_sensor, 0, 10000)
         check_range(where, "edge_margin_deg", self.edge_margin_deg, 0.0, 10.0)
         check_range(where, "time_margin", self.time_margin, 0.0, 0.1)
-        check_range(where, "min_range", self.min_range, 0.0, 0.2)
-        check_range(where, "max_range", self.max_range, 0.1, 65.0)
         check_range(where, "max_age", self.max_age, 0.001, 10.0)
         self.memory.check(f"{where}.memory")
 
@@ -110,15 +94,16 @@ class OcclusionMaskConfig:
 def make_mask_bundles(
     *,
     config: OcclusionMaskConfig,
-    sensor: Vl53l1x,
+    sensor: SensorTraits,
     caster: RayCaster,
     mounts: Sequence[RingMount],
 ) -> RayBundles:
     """Makes the rays of all rings' masks, cast together on the twin.
 
     Args:
-        config: number of rays, tolerance.
-        sensor: field of view and range of the sensors, number of rays.
+        config: number of rays.
+        sensor: field of view, range and tolerance of the sensors, number of
+            rays.
         caster: of the twin's SceneGraph.
         mounts: the rings on the twin; no sensor sees the link that carries it.
 
@@ -129,7 +114,7 @@ def make_mask_bundles(
         frame_id=[mount.frame_id for mount in mounts for _ in mount.X_FS],
         X_FS=[X for mount in mounts for X in mount.X_FS],
         fan_S=make_mask_fan(config, sensor),
-        max_range=calc_cast_range(sensor) + config.tolerance,
+        max_range=sensor.cast_range + sensor.tolerance,
         excluded=[mount.geometry_ids for mount in mounts for _ in mount.X_FS],
     )
 
@@ -137,7 +122,7 @@ def make_mask_bundles(
 def make_proof_bundles(
     *,
     config: OcclusionMaskConfig,
-    sensor: Vl53l1x,
+    sensor: SensorTraits,
     caster: RayCaster,
     mounts: Sequence[RingMount],
 ) -> RayBundles:
@@ -154,12 +139,14 @@ def make_proof_bundles(
             math.radians(max(narrow_deg, 0.1)),
             config.rays_per_sensor or sensor.rays_per_sensor,
         ),
-        max_range=_SURELY_SEEN,
+        max_range=min(_SURELY_SEEN, sensor.sure_range),
         excluded=[mount.geometry_ids for mount in mounts for _ in mount.X_FS],
     )
 
 
-def make_mask_fan(config: OcclusionMaskConfig, sensor: Vl53l1x) -> np.ndarray:
+def make_mask_fan(
+    config: OcclusionMaskConfig, sensor: SensorTraits
+) -> np.ndarray:
     """Returns the directions of a sensor's rays on the twin, (k, 3).
 
     They are those of the ring itself, so that a simulated sensor and the mask
@@ -200,8 +187,8 @@ _UNRELIABLE = int(SensorFault.UNRELIABLE)
 _DEAD = int(SensorFault.DEAD)
 _EDGE_RAYS = 16
 
-# Up to this distance, m, a sensor sees what fills the middle of its cone: with
-# the model's range, all but 2 in 1000 times (assumed for others).
+# Up to this distance, m, a sensor must see what fills the middle of its cone,
+# if its own sure range is not shorter.
 _SURELY_SEEN = 0.9
 
 # Below this speed a robot moves less than a millimetre in the time margin,
@@ -607,6 +594,7 @@ def _remember(
 def mask_scans(
     config: OcclusionMaskConfig,
     *,
+    sensor: SensorTraits,
     scans: Sequence[RingScan | None],
     before: Sequence[MaskedScan],
     time: float,
@@ -627,6 +615,7 @@ def mask_scans(
 
     Args:
         config: settings.
+        sensor: of all rings.
         scans: each ring's new scan of n sensors; None where there is none.
         before: each ring's result for the previous scan.
         time: now, s.
@@ -657,10 +646,10 @@ def mask_scans(
         for i, (scan, was) in enumerate(zip(scans, before, strict=True))
     ]
     view = _View(table, caster, twin)
-    _compare_with_twin(config, tables, view, bundles, time)
+    _compare_with_twin(config, sensor, tables, view, bundles, time)
     is_proven = np.ones(num_sensors, dtype=bool)
     if config.enabled and proof_bundles is not None:
-        is_proven = _find_proven(tables, view, proof_bundles, config.min_range)
+        is_proven = _find_proven(tables, view, proof_bundles, sensor.min_range)
     _remember(
         tables.samples,
         tables.verdict,
@@ -727,15 +716,15 @@ class _View(NamedTuple):
         return self_distance, more
 
 
-def _compare_with_twin(config, tables, view, bundles, time):
+def _compare_with_twin(config, sensor, tables, view, bundles, time):
     """Fills in what each sample alone means, and the robot's motion."""
     samples, verdict, motion, n = tables
     unsettled = np.empty(samples.shape[1], dtype=bool)
     which = np.empty(samples.shape[1], dtype=bool)
     limits = (
-        config.tolerance,
-        config.min_range,
-        config.max_range,
+        float(sensor.tolerance),
+        float(sensor.min_range),
+        float(sensor.max_range),
         config.max_age,
     )
     margin = config.time_margin
@@ -966,6 +955,7 @@ class OcclusionMask(LeafSystem):
         self,
         *,
         config: OcclusionMaskConfig,
+        sensor: SensorTraits,
         period: float = 0.008,
         caster: RayCaster,
         bundles: RayBundles,
@@ -978,6 +968,7 @@ class OcclusionMask(LeafSystem):
 
         Args:
             config: settings.
+            sensor: of all rings.
             period: control tick, s.
             caster: of the twin's SceneGraph.
             bundles: the rings' rays by that caster, see `make_mask_bundles`;
@@ -1007,6 +998,7 @@ class OcclusionMask(LeafSystem):
                 f"bundles: {bundles.num_bundles} for {len(name)} rings"
             )
         self._config = config
+        self._sensor = sensor
         self._caster = caster
         self._bundles = bundles
         self._twin = twin
@@ -1065,6 +1057,7 @@ class OcclusionMask(LeafSystem):
         push_report(table, context.get_time(), self._report.Eval(context))
         masked_scans = mask_scans(
             self._config,
+            sensor=self._sensor,
             scans=[
                 scan if new else None
                 for scan, new in zip(scans, is_new, strict=True)

@@ -7,8 +7,9 @@ taken:
 | status            | what ST says of it            | reading                 |
 |-------------------|-------------------------------|-------------------------|
 | 0 valid           | a distance                    | VALID, or MASKED        |
-| 0 valid           | (beyond the mode, negative,   | fault IMPLAUSIBLE       |
-|                   | not a number)                 |                         |
+| 0 valid           | (beyond the mode, negative)   | fault IMPLAUSIBLE       |
+| 0, 2, 4, 7        | (a distance that is not a     | fault IMPLAUSIBLE       |
+|                   | number)                       |                         |
 | 3 min range       | nearer than can be measured   | VALID at 0 m, or MASKED |
 | clipped, 13 min   |                               |                         |
 | range fail        |                               |                         |
@@ -43,11 +44,13 @@ A valid distance below the minimum range is detected but wrong, so it also
 counts as 0 m.
 """
 
+import math
+
 import numpy as np
 
 from tofssm_drake.kernels import njit
 from tofssm_drake.messages import Reading, RingHealth, SensorFault
-from tofssm_drake.sensors.vl53l1x import (
+from tofssm_drake.sensors.range_status import (
     SATURATED,
     STATUS_BUS_FAILURE,
     STATUS_CONTESTED,
@@ -168,6 +171,9 @@ def classify_readings(
         s = status[i]
         fault[i] = find_fault(s, age[i], max_age)
         is_near = s == STATUS_MIN_RANGE_CLIPPED or s == STATUS_MIN_RANGE_FAIL
+        if math.isnan(d) and not is_near:
+            # Also with "no return": such a sensor is not to be trusted.
+            fault[i] = fault[i] or _IMPLAUSIBLE
         if s == STATUS_VALID:
             if not (0.0 <= d <= max_range and d < SATURATED):
                 fault[i] = fault[i] or _IMPLAUSIBLE

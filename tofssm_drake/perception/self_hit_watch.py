@@ -57,12 +57,9 @@ from tofssm_drake.perception.self_hits import (
     widen_expectation,
 )
 from tofssm_drake.raycast.ray_caster import RayBundles, RayCaster
+from tofssm_drake.sensors.range_sensor import SensorTraits
+from tofssm_drake.sensors.range_status import STATUS_NO_NEW_DATA
 from tofssm_drake.sensors.ring_mount import RingMount
-from tofssm_drake.sensors.vl53l1x import (
-    STATUS_NO_NEW_DATA,
-    Vl53l1x,
-    calc_cast_range,
-)
 
 # Below this speed a robot moves less than a millimetre in the time margin,
 # rad/s.
@@ -144,7 +141,7 @@ def make_self_hit_model(
     *,
     config: SelfHitConfig,
     mask_config: OcclusionMaskConfig,
-    sensor: Vl53l1x,
+    sensor: SensorTraits,
     caster: RayCaster,
     mounts: Sequence[RingMount],
     twin: Twin,
@@ -155,8 +152,8 @@ def make_self_hit_model(
 
     Args:
         config: settings.
-        mask_config: tolerance, rays, margins; the mask's own.
-        sensor: field of view and range of the sensors.
+        mask_config: rays, margins; the mask's own.
+        sensor: field of view, ranges and tolerance of the sensors.
         caster: of the twin's SceneGraph.
         mounts: the rings on the twin.
         twin: gives the poses of `caster.frame_ids`.
@@ -169,7 +166,7 @@ def make_self_hit_model(
     config.check("self_hits")
     num_sensors = sum(len(mount.X_FS) for mount in mounts)
     fan_S, num_wide = make_self_hit_fan(config, mask_config, sensor)
-    max_range = calc_cast_range(sensor) + mask_config.tolerance
+    max_range = sensor.cast_range + sensor.tolerance
     misfits = list_misfits(config, len(mounts))
     moved = [
         (mounts[m.ring], move_mount(mounts[m.ring], m.turn, m.shift))
@@ -189,9 +186,9 @@ def make_self_hit_model(
         orders=make_orders(len(mounts[0].X_FS)),
         swaps=np.array(list_swaps(len(mounts)), dtype=np.int64).reshape(-1, 2),
         limits=(
-            mask_config.tolerance,
-            mask_config.min_range,
-            config.max_distance,
+            float(sensor.tolerance),
+            float(sensor.min_range),
+            float(min(config.max_distance, sensor.sure_range)),
         ),
         scores=(
             config.full_width,

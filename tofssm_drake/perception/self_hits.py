@@ -24,21 +24,18 @@ import math
 
 import numpy as np
 
-from tofssm_drake.errors import require
+from tofssm_drake.errors import check_range, require
 from tofssm_drake.kernels import njit
 from tofssm_drake.perception.occlusion_mask import (
     OcclusionMaskConfig,
     make_mask_fan,
 )
 from tofssm_drake.raycast.fan import make_cone_fan
-from tofssm_drake.sensors.vl53l1x import (
+from tofssm_drake.sensors.range_sensor import SensorTraits
+from tofssm_drake.sensors.range_status import (
     STATUS_MIN_RANGE_CLIPPED,
-    STATUS_OUT_OF_BOUNDS,
-    STATUS_SIGNAL_FAIL,
     STATUS_VALID,
-    STATUS_WRAP_AROUND,
-    Vl53l1x,
-    check_range,
+    is_no_return,
 )
 
 # How a reading compares with an expectation.
@@ -74,8 +71,8 @@ class SelfHitConfig:
     # mounting).
     edge_margin_deg: float = 1.0
 
-    # Nothing need be seen beyond this distance, m (*assumed*: two thirds of the
-    # usable range, where a target is seen with a probability of 0.998).
+    # Nothing need be seen beyond this distance, m (*assumed*), nor beyond the
+    # sensor's own sure range.
     max_distance: float = 0.9
 
     # Rate at which a working sensor misses an expected self-hit (*assumed*:
@@ -133,7 +130,7 @@ class SelfHitConfig:
     joint_offset: float = 0.1
     joint_delay: float = 0.05
 
-    # If a reading stays alone at one distance, within the mask's tolerance,
+    # If a reading stays alone at one distance, within the sensor's tolerance,
     # while its sensor travels farther than this, the hit rides with the robot,
     # m (*assumed*: nobody keeps a distance to within 30 mm along a metre of the
     # arm's path; for what a person does see docs/self_hits.md).
@@ -182,7 +179,7 @@ class SelfHitConfig:
 def make_self_hit_fan(
     config: SelfHitConfig,
     mask_config: OcclusionMaskConfig,
-    sensor: Vl53l1x,
+    sensor: SensorTraits,
 ) -> tuple[np.ndarray, int]:
     """Returns directions of a sensor's rays on the twin, in two cones.
 
@@ -274,7 +271,7 @@ def classify_self_hits(
         d = distance[i]
         near = expectation[0, i] - tolerance
         outcome[i] = QUIET
-        if s in (STATUS_SIGNAL_FAIL, STATUS_OUT_OF_BOUNDS, STATUS_WRAP_AROUND):
+        if is_no_return(s):
             if must[i]:
                 outcome[i] = MISS
         elif s == STATUS_MIN_RANGE_CLIPPED or (
@@ -349,11 +346,7 @@ def step_rides(
         ride_travel: an alarm begins beyond this, m.
     """
     for i in range(start.shape[0]):
-        if outcome[i] == QUIET and status[i] not in (
-            STATUS_SIGNAL_FAIL,
-            STATUS_OUT_OF_BOUNDS,
-            STATUS_WRAP_AROUND,
-        ):
+        if outcome[i] == QUIET and not is_no_return(status[i]):
             continue
         if outcome[i] == ALONE and abs(distance[i] - start[i]) <= tolerance:
             unfit[i] = 0.0

@@ -9,6 +9,7 @@ import numpy as np
 from pydrake.common.value import Value
 from pydrake.systems.framework import Context, LeafSystem
 
+from tofssm_drake.errors import check_range
 from tofssm_drake.kernels import njit
 from tofssm_drake.messages import (
     FAULT_NAMES,
@@ -20,7 +21,6 @@ from tofssm_drake.messages import (
     make_empty_separation,
 )
 from tofssm_drake.perception.readings import calc_ring_health, count_readings
-from tofssm_drake.sensors.vl53l1x import check_range
 
 _VALID = int(Reading.VALID)
 _FAULTED = int(Reading.FAULTED)

@@ -18,10 +18,10 @@ import statistics
 
 import numpy as np
 
-from tofssm_drake.sensors.vl53l1x import (
+from tofssm_drake.errors import check_range
+from tofssm_drake.sensors.range_status import (
     STATUS_BUS_FAILURE,
     STATUS_NO_NEW_DATA,
-    check_range,
 )
 
 # Least time to measure, s: in less, a single late frame would weigh too much.

@@ -14,7 +14,7 @@ from tofssm_drake.ringlink.ring_frame import (
     TIME_BITS,
     RingFrame,
 )
-from tofssm_drake.sensors.vl53l1x import (
+from tofssm_drake.sensors.range_status import (
     STATUS_BUS_FAILURE,
     STATUS_NO_NEW_DATA,
     STATUS_SIGNAL_FAIL,

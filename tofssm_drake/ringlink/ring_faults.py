@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from tofssm_drake.sensors.vl53l1x import STATUS_NO_NEW_DATA, STATUS_VALID
+from tofssm_drake.sensors.range_status import STATUS_NO_NEW_DATA, STATUS_VALID
 
 
 def count_repeats(

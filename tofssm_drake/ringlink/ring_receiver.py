@@ -15,7 +15,7 @@ from tofssm_drake.device_clock import (
     start_clock_map,
     update_clock_map,
 )
-from tofssm_drake.errors import require
+from tofssm_drake.errors import check_range, require
 from tofssm_drake.messages import RingScan
 from tofssm_drake.ringlink.ring_budget import (
     FrameTiming,
@@ -41,16 +41,15 @@ from tofssm_drake.ringlink.ring_frame import (
     peek_ring,
     unwrap,
 )
-from tofssm_drake.sensors.ring import Ring
-from tofssm_drake.sensors.vl53l1x import (
+from tofssm_drake.sensors.range_status import (
     STATUS_BUS_FAILURE,
     STATUS_CONTESTED,
     STATUS_FROZEN,
     STATUS_NO_NEW_DATA,
     STATUS_NONE,
     STATUS_SELF_TEST,
-    check_range,
 )
+from tofssm_drake.sensors.ring import Ring
 
 _SATURATED_AGE = 255
 
@@ -418,7 +417,7 @@ class RingDecoder:
                 RingReceiver(
                     config=config,
                     num_sensors=rings[ring].num_sensors,
-                    timing_budget=rings[ring].sensor.timing_budget,
+                    timing_budget=rings[ring].sensor.traits.integration_time,
                     budget=budget[ring],
                 ),
             )

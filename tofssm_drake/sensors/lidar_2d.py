@@ -11,10 +11,9 @@ from pydrake.geometry import FrameId, GeometryId, QueryObject
 from pydrake.math import RigidTransform
 from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
 
-from tofssm_drake.errors import require
+from tofssm_drake.errors import check_range, require
 from tofssm_drake.messages import LidarScan
 from tofssm_drake.raycast.ray_caster import RayBundles, RayCaster
-from tofssm_drake.sensors.vl53l1x import check_range
 
 # A scan at the time of a plant step shows the world before the step. It is
 # taken slightly earlier, or rounding would decide which of the two it shows.

@@ -8,9 +8,11 @@ from pydrake.math import RigidTransform, RotationMatrix
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import FixedOffsetFrame, FrameIndex
 
-from tofssm_drake.errors import UserError, require
+from tofssm_drake.errors import UserError, check_range, require
 from tofssm_drake.poses import Pose
-from tofssm_drake.sensors.vl53l1x import Vl53l1x, check_range
+from tofssm_drake.sensors.cone_sensor import ConeSensor
+from tofssm_drake.sensors.custom_sensor import CustomSensor
+from tofssm_drake.sensors.vl53l1x import Vl53l1x
 
 MOST_SENSORS = 64
 """A ring's link has room for that many."""
@@ -45,8 +47,11 @@ class Ring:
     # Poses of the sensors in L, in place of the circle; x is the beam's axis.
     poses: list[Pose] = dc.field(default_factory=list)
 
-    # How well a sensor measures, and how often.
-    sensor: Vl53l1x = dc.field(default_factory=Vl53l1x)
+    # The sensor model: how well it measures, and how often. Each is a
+    # `RangeSensor`; without a tag it is the first.
+    sensor: Vl53l1x | ConeSensor | CustomSensor = dc.field(
+        default_factory=Vl53l1x
+    )
 
     # First sample, s; 0 is after one period. *Assumed*: all rings are
     # triggered together; alike rings of equal phase are one system and cost

@@ -1,4 +1,4 @@
-"""Rings of Time-of-Flight sensors around robot links, simulated."""
+"""Rings of range sensors around robot links, simulated."""
 
 from collections.abc import Sequence
 import dataclasses as dc
@@ -14,16 +14,8 @@ from tofssm_drake.errors import require
 from tofssm_drake.messages import RingScan
 from tofssm_drake.raycast.fan import make_cone_fan
 from tofssm_drake.raycast.ray_caster import RayBundles, RayCaster
+from tofssm_drake.sensors.range_sensor import RangeSensor, measure_checked
 from tofssm_drake.sensors.ring_mount import RingMount
-from tofssm_drake.sensors.vl53l1x import (
-    NOISE_DRAWS,
-    SensorErrors,
-    Vl53l1x,
-    calc_cast_range,
-    make_perfect_sensor_errors,
-    measure_packed,
-    pack_config,
-)
 
 # A sample at the time of a plant step shows the world before the step. It is
 # taken slightly earlier, or rounding would decide which of the two it shows.
@@ -32,42 +24,43 @@ _EARLY = 1e-9
 
 def make_ring_bundles(
     *,
-    config: Vl53l1x,
+    config: RangeSensor,
     caster: RayCaster,
     mounts: Sequence[RingMount],
 ) -> RayBundles:
     """Makes the rays of rings, cast together.
 
     Args:
-        config: field of view, number of rays, range.
+        config: the sensors' model: field of view, number of rays, range.
         caster: what the rays are cast against.
         mounts: the rings; no sensor sees the link that carries it.
 
     Returns:
         One bundle per sensor, ring by ring.
     """
+    traits = config.traits
     return caster.make_bundles(
         frame_id=[mount.frame_id for mount in mounts for _ in mount.X_FS],
         X_FS=[X for mount in mounts for X in mount.X_FS],
         fan_S=make_cone_fan(
-            math.radians(config.fov_deg), config.rays_per_sensor
+            math.radians(traits.fov_deg), traits.rays_per_sensor
         ),
-        max_range=calc_cast_range(config),
+        max_range=float(traits.cast_range),
         excluded=[mount.geometry_ids for mount in mounts for _ in mount.X_FS],
     )
 
 
-def _count_sensors(num_sensors, errors, num_rings):
+def _count_sensors(num_sensors, constants, num_rings):
     """Returns the number of sensors of each ring.
 
     Raises:
-        ValueError: if errors or number of sensors do not suit the rings.
+        ValueError: if constants or number of sensors do not suit the rings.
     """
     n, rest = divmod(num_sensors, num_rings)
     if n == 0 or rest:
         raise ValueError(f"bundles: {num_sensors} for {num_rings} rings")
-    if not errors.bias.shape == errors.gain.shape == (num_sensors,):
-        raise ValueError(f"errors: not those of {num_sensors} sensors")
+    if len(constants) != num_sensors:
+        raise ValueError(f"constants: not those of {num_sensors} sensors")
     return n
 
 
@@ -83,7 +76,7 @@ class _Queue:
 
 
 class TofRings(LeafSystem):
-    """Simulates rings of VL53L1X sensors that sample together.
+    """Simulates rings of sensors of one model that sample together.
 
     .. pydrake_system::
 
@@ -99,27 +92,28 @@ class TofRings(LeafSystem):
     Once a period the rays of all N sensors are cast against the scene and
     turned into one `RingScan` per ring. This happens at the centre of the
     sensors' integration, which is the scans' `sensor_time`. The scans appear
-    on the ports a latency later (half the timing budget and the readout). The
+    on the ports a latency later (half the integration and the readout). The
     latency may exceed the period: pending scans wait in a queue. Rings that
     sample at different times need separate systems; a single ring is fine.
 
     A port holds an empty scan (sequence -1) before the first one.
 
-    The port `noise` takes standard normal numbers, NOISE_DRAWS per sensor for
-    each of `noise_scans` scans in turn. All of them must change once in that
-    many periods, the first time at 0 s. It may be left unconnected if the
-    sensors are ideal. Constant errors are an argument.
+    The port `noise` takes standard normal numbers, as many as the model wants
+    for each sensor and each of `noise_scans` scans in turn. All of them must
+    change once in that many periods, the first time at 0 s. It may be left
+    unconnected if the model wants none. What tells one sensor from the other is
+    an argument.
 
-    The device's jitter of the period (1 %) is not simulated.
+    The jitter of a device's period is not simulated.
     """
 
     def __init__(
         self,
         *,
-        config: Vl53l1x,
+        config: RangeSensor,
         caster: RayCaster,
         bundles: RayBundles,
-        errors: SensorErrors | None = None,
+        constants: np.ndarray | None = None,
         phase: float = 0.0,
         noise_scans: int = 1,
         name: tuple[str, ...],
@@ -127,11 +121,12 @@ class TofRings(LeafSystem):
         """Constructs the system.
 
         Args:
-            config: settings of the rings.
+            config: the sensors' model.
             caster: of the SceneGraph that is connected to `geometry_query`.
             bundles: the sensors' rays, see `make_ring_bundles`; the same
                 number of sensors for each ring.
-            errors: the sensors' constant errors; None: no errors.
+            constants: the model's constant draws of each sensor, see
+                `draw_constants`, (N, constant_draws); None: all 0.
             phase: time of the first sample, s, 0 for one period; staggers
                 the rings.
             noise_scans: number of scans for which the port `noise` has
@@ -141,37 +136,35 @@ class TofRings(LeafSystem):
 
         Raises:
             UserError: if a setting is out of range.
-            ValueError: if errors or rays do not suit the rings.
+            ValueError: if constants or rays do not suit the rings.
         """
         super().__init__()
-        config.check("sensor")
+        traits = config.traits
+        traits.check("sensor")
         require(
             math.isfinite(phase) and phase >= 0.0,
             f"rings.phase: {phase} is out of range; use 0 or more",
         )
         num_sensors = bundles.num_bundles
-        if errors is None:
-            errors = make_perfect_sensor_errors(num_sensors)
-        n = _count_sensors(num_sensors, errors, len(name))
+        if constants is None:
+            constants = np.zeros((num_sensors, traits.constant_draws))
+        n = _count_sensors(num_sensors, constants, len(name))
         if noise_scans < 1:
             raise ValueError(f"noise_scans: {noise_scans} is not 1 or more")
         self._caster = caster
         self._bundles = bundles
-        self._errors = errors
-        self._parameters = pack_config(config)
-        self._latency = config.latency
-        self._noise_scans = noise_scans
+        self._sensor = config
+        self._constants = constants
+        self._latency = traits.latency
+        self._noise_shape = (noise_scans, num_sensors, traits.noise_draws)
         self._rows = [slice(n * i, n * i + n) for i in range(len(name))]
-        self._no_noise = (
-            np.zeros((num_sensors, NOISE_DRAWS)) if config.ideal else None
-        )
 
         self._geometry_query = self.DeclareAbstractInputPort(
             "geometry_query", Value(QueryObject())
         )
         self._noise = self.DeclareVectorInputPort(
             "noise",
-            noise_scans * num_sensors * NOISE_DRAWS,
+            math.prod(self._noise_shape),
             RandomDistribution.kGaussian,
         )
         self._scans = [
@@ -180,12 +173,12 @@ class TofRings(LeafSystem):
         self._queue = self.DeclareAbstractState(Value(_Queue()))
         for ring, index in zip(name, self._scans, strict=True):
             self.DeclareStateOutputPort(f"scan_{ring}", index)
-        first = phase if phase > 0.0 else config.period
+        first = phase if phase > 0.0 else traits.period
         self.DeclarePeriodicUnrestrictedUpdateEvent(
-            config.period, first - _EARLY, self._capture
+            traits.period, first - _EARLY, self._capture
         )
         self.DeclarePeriodicUnrestrictedUpdateEvent(
-            config.period, first + config.latency, self._deliver
+            traits.period, first + traits.latency, self._deliver
         )
 
     @property
@@ -225,21 +218,11 @@ class TofRings(LeafSystem):
             self._geometry_query.Eval(context)
         )
         ray_distance, _ = self._caster.cast_bundles(self._bundles, X_WF)
-        noise = self._no_noise
-        if noise is None:
-            noise = self._noise.Eval(context).reshape(
-                self._noise_scans, -1, NOISE_DRAWS
-            )[sequence % self._noise_scans]
-        distance = np.empty(len(ray_distance))
-        status = np.empty(len(ray_distance), dtype=np.uint8)
-        measure_packed(
-            self._parameters,
+        distance, status = measure_checked(
+            self._sensor,
             ray_distance,
-            noise,
-            self._errors.bias,
-            self._errors.gain,
-            distance,
-            status,
+            self._get_noise(context, sequence),
+            self._constants,
         )
         time = context.get_time()
         sensor_time = np.full(len(distance), time)
@@ -256,3 +239,11 @@ class TofRings(LeafSystem):
             )
             for rows in self._rows
         )
+
+    def _get_noise(self, context: Context, sequence: int) -> np.ndarray:
+        """Returns the numbers for a scan, (N, noise_draws)."""
+        scans, sensors, draws = self._noise_shape
+        if draws == 0:
+            return np.empty((sensors, 0))
+        noise = self._noise.Eval(context).reshape(self._noise_shape)
+        return noise[sequence % scans]

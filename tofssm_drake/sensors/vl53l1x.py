@@ -10,34 +10,34 @@ import math
 
 import numpy as np
 
-from tofssm_drake.errors import require
+from tofssm_drake.errors import check_range, require
 from tofssm_drake.kernels import njit
+from tofssm_drake.sensors.range_sensor import SensorTraits
+from tofssm_drake.sensors.range_status import (
+    SATURATED,
+    STATUS_MIN_RANGE_CLIPPED,
+    STATUS_OUT_OF_BOUNDS,
+    STATUS_SIGMA_FAIL,
+    STATUS_SIGNAL_FAIL,
+    STATUS_VALID,
+    STATUS_WRAP_AROUND,
+)
 
 NOISE_DRAWS = 4
 """Standard normal draws per sensor and sample: range error, validity, kind of
 failure, arbitrary millimetres. All but the first are turned into uniform
 numbers by the normal distribution function."""
 
-STATUS_VALID = 0
-STATUS_SIGMA_FAIL = 1
-STATUS_SIGNAL_FAIL = 2
-STATUS_MIN_RANGE_CLIPPED = 3
-STATUS_OUT_OF_BOUNDS = 4
-STATUS_HARDWARE_FAIL = 5
-STATUS_WRAP_AROUND = 7
-STATUS_PROCESSING_FAIL = 8
-STATUS_MIN_RANGE_FAIL = 13
-# The following numbers are this project's own: first those of the host, then
-# those of a device.
-STATUS_FROZEN = 240
-STATUS_SELF_TEST = 241
-STATUS_CONTESTED = 242
-STATUS_BUS_FAILURE = 253
-STATUS_NO_NEW_DATA = 254
-STATUS_NONE = 255
+CONSTANT_DRAWS = 2
+"""Standard normal draws per sensor: offset, scale factor."""
 
-SATURATED = 65.535
-"""The largest distance that 16 bits of millimetres hold, m."""
+# A valid distance may exceed the mode's range by offset, scale and noise at
+# that distance, m.
+_EXCESS = 0.09
+
+# A target is seen with a probability of 0.998 where the argument of the
+# logistic function is this.
+_SURE = -6.2
 
 # One standard deviation at a timing budget of 33 ms (54 % grey, dark), read
 # off figure 6 of the datasheet.
@@ -120,6 +120,11 @@ class Vl53l1x:
     # Step of the reported distance, m; 0: none.
     resolution: float = 0.001
 
+    # Greatest error of a valid distance, m: 3 standard deviations of 10 mm,
+    # which covers the datasheet's +-25 mm, plus 5 mm for a sensor whose
+    # constant error is at its bound.
+    tolerance: float = 0.030
+
     # Full opening angle of the cone, deg (paper).
     fov_deg: float = 25.0
 
@@ -145,6 +150,53 @@ class Vl53l1x:
     def latency(self) -> float:
         """From the centre of the integration to the delivered scan, s."""
         return 0.5 * self.timing_budget + self.readout_time
+
+    @property
+    def traits(self) -> SensorTraits:
+        """See `RangeSensor`."""
+        farthest = max(self.usable_range, self.mode_range)
+        return SensorTraits(
+            period=self.period,
+            latency=self.latency,
+            integration_time=self.timing_budget,
+            fov_deg=self.fov_deg,
+            rays_per_sensor=self.rays_per_sensor,
+            cast_range=self._calc_cast_range(),
+            min_range=self.min_range,
+            max_range=farthest + _EXCESS,
+            sure_range=self._calc_sure_range(),
+            tolerance=self.tolerance,
+            resolution=self.resolution,
+            noise_draws=0 if self.ideal else NOISE_DRAWS,
+            constant_draws=CONSTANT_DRAWS,
+        )
+
+    def measure(
+        self,
+        ray_distance: np.ndarray,
+        noise: np.ndarray,
+        constants: np.ndarray,
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """See `RangeSensor` and, for the physics, the function `measure`."""
+        return measure(
+            self,
+            ray_distance=ray_distance,
+            noise=noise,
+            errors=make_sensor_errors(self, constants),
+        )
+
+    def _calc_cast_range(self) -> float:
+        if self.ideal:
+            return self.usable_range
+        if self.wrap_probability > 0.0:
+            # The device itself sees no farther, in any mode.
+            return 4.0
+        return max(self.usable_range, self.mode_range)
+
+    def _calc_sure_range(self) -> float:
+        if self.ideal:
+            return self.usable_range
+        return self.usable_range * max(0.0, 1.0 + _SURE * self.range_falloff)
 
     def check(self, where: str) -> None:
         """Raises UserError unless every setting is within its limits."""
@@ -172,32 +224,13 @@ class Vl53l1x:
             ("wrap_probability", 0.0, 1.0),
             ("wrap_range", 0.1, 10.0),
             ("resolution", 0.0, 0.1),
+            ("tolerance", 0.0, 0.3),
             ("fov_deg", 1.0, 90.0),
             ("rays_per_sensor", 1, 10000),
             ("period_overhead", 0.0, 10.0),
             ("readout_time", 0.0, 1.0),
         ):
             check_range(where, name, getattr(self, name), low, high)
-
-
-def check_range(
-    where: str, name: str, value: float, low: float, high: float
-) -> None:
-    """Raises UserError unless low <= value <= high (NaN is outside)."""
-    require(
-        isinstance(value, (int, float)) and low <= value <= high,
-        f"{where}.{name}: {value} is out of range; use {low:g} to {high:g}",
-    )
-
-
-def calc_cast_range(config: Vl53l1x) -> float:
-    """Returns how far a sensor's rays have to be cast, m."""
-    if config.ideal:
-        return config.usable_range
-    if config.wrap_probability > 0.0:
-        # The device itself sees no farther, in any mode.
-        return 4.0
-    return max(config.usable_range, config.mode_range)
 
 
 @dc.dataclass(frozen=True, eq=False, kw_only=True)
@@ -210,28 +243,18 @@ class SensorErrors:
     """Scale factor, (n,)."""
 
 
-def draw_sensor_errors(
-    config: Vl53l1x, *, sensors: int, seed: int, ring: int = 0
-) -> SensorErrors:
-    """Draws the constant errors of the sensors of one ring.
+def make_sensor_errors(config: Vl53l1x, constants: np.ndarray) -> SensorErrors:
+    """Returns the constant errors of n sensors.
 
     Args:
         config: how large they are.
-        sensors: n.
-        seed: the same seed gives the same sensors.
-        ring: distinguishes the rings of one seed.
+        constants: standard normal draws, (n, CONSTANT_DRAWS).
     """
-    draws = np.random.default_rng([seed, ring]).standard_normal((2, sensors))
     limit = config.bias_limit
     return SensorErrors(
-        bias=np.clip(config.bias_sigma * draws[0], -limit, limit),
-        gain=1.0 + config.gain_sigma * draws[1],
+        bias=np.clip(config.bias_sigma * constants[:, 0], -limit, limit),
+        gain=1.0 + config.gain_sigma * constants[:, 1],
     )
-
-
-def make_perfect_sensor_errors(sensors: int) -> SensorErrors:
-    """Returns sensors without constant errors."""
-    return SensorErrors(bias=np.zeros(sensors), gain=np.ones(sensors))
 
 
 # Settings in the order of the vector, and their indices in it.
