@@ -63,6 +63,51 @@ def test_my_arm_stops_for_a_person(name):
     assert samples["robot_state"][-1] < 2
 
 
+def test_my_sensor():
+    """Nobody is there: a ring of one's own does not stop the robot."""
+    text = "{simulation_duration: 4.0, people: {visitor: null}}"
+    samples, _ = run("my_sensor.yaml", "Default", text)
+    assert samples.rings == ("base", "elbow")
+    assert (samples["robot_state"][samples["t"] > 0.2] == 2).all()
+
+
+def test_my_sensor_measures():
+    sensor = importlib.import_module("examples.my_sensor").Ultrasonic()
+    n = 20000
+    generator = np.random.default_rng(0)
+    distance, status = sensor.measure(
+        np.full((n, 1), 1.0),
+        generator.standard_normal((n, 1)),
+        generator.standard_normal((n, 1)),
+    )
+    assert (status == 0).all()
+    assert distance.mean() == pytest.approx(1.0, abs=1e-3)
+    assert np.abs(distance - 1.0).max() < sensor.traits.tolerance
+    _, status = sensor.measure(
+        np.full((1, 1), np.inf), np.zeros((1, 1)), np.zeros((1, 1))
+    )
+    assert status[0] == 2
+
+
+def test_rings_and_lidar():
+    """Three sensors, two ring models: nobody is there, nothing stops it."""
+    samples, progress = run("rings_and_lidar.yaml", "Default", ALONE)
+    assert samples.rings == ("upper_arm", "forearm", "low")
+    assert progress.products_placed == 1
+    assert (samples["robot_state"][samples["t"] > 0.2] == 2).all()
+
+
+def test_rings_and_lidar_stop_for_a_person():
+    text = """{simulation_duration: 3.0, people: {visitor: !CustomMotion {
+        factory: "examples.my_person:sway",
+        parameters: {distance: 0.75, swing: 0.0}}}}"""
+    samples, _ = run("rings_and_lidar.yaml", "Default", text)
+    assert samples["robot_state"].min() == 0
+    seen = samples.ring("measured_distance")
+    # The narrow beams and the lidar see somebody, each in its own way.
+    assert np.isfinite(seen[:, 1:]).any(axis=0).all()
+
+
 def test_my_person():
     samples, _ = run("my_person.yaml", "Sway", "{simulation_duration: 2.0}")
     assert np.ptp(samples["person_y"]) == pytest.approx(0.5, abs=0.02)

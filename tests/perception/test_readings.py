@@ -88,6 +88,15 @@ class TestClassify(unittest.TestCase):
             self.assertEqual(classify(distance)[0], FAULTED, distance)
         self.assertEqual(classify(4.0)[0], VALID)
 
+    def test_not_a_number_is_never_clear(self):
+        for status in range(256):
+            reading, counted = classify(np.nan, status)
+            if status in (3, 13):
+                # Too near for a number.
+                self.assertEqual((reading, counted), (VALID, 0.0))
+            else:
+                self.assertEqual(reading, FAULTED, status)
+
     def test_nearer_than_can_be_measured_is_the_nearest_possible(self):
         for distance, status in ((0.5, 3), (0.5, 13), (0.039, 0), (0.0, 0)):
             self.assertEqual(classify(distance, status), (VALID, 0.0))
