@@ -6,6 +6,7 @@
 #   make false-alarms    simulates an hour without a fault and counts alarms
 #   make hardware-demo   runs the hardware command on a simulated robot
 #   make fault-table     measures how fast each fault stops that robot
+#   make images          makes the pictures in docs/images again
 # With another Python, in an environment of its own:
 #   make PYTHON=python3.12 VENV=.venv312 test
 
@@ -28,7 +29,8 @@ CHECK_DRAKE := @$(BIN)/python -c 'import pydrake.common' 2> /dev/null || \
 	scripts/install_system_packages.sh \
 	  "Drake lacks libraries" libglib2.0-0 libsm6 libx11-6
 
-.PHONY: run hardware-demo fault-table false-alarms test bench format clean
+.PHONY: run hardware-demo fault-table false-alarms images test bench \
+	format clean
 
 run: $(VENV)/.installed
 	$(BIN)/tofssm simulate --out $(OUT)
@@ -49,6 +51,9 @@ fault-table: $(VENV)/.installed-test
 
 false-alarms: $(VENV)/.installed-test
 	$(BIN)/python benchmarks/false_alarms.py
+
+images: $(VENV)/.installed-test
+	$(BIN)/python -m tofssm_drake.scripts.draw_docs docs/images
 
 format: $(VENV)/.installed-test
 	$(BIN)/ruff format .

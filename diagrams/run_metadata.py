@@ -70,6 +70,10 @@ def make_run_metadata(
             if ring.dead_sensors
         },
         "robot_bodies": robot_bodies,
+        "joint_units": [
+            "m" if slides else "rad"
+            for slides in find_chain(station.plant).slides
+        ],
         "person_parts": _name_parts(scenario.people),
         "ring_geometry": _describe_rings(rings, station),
         "audit": make_audit_metadata(

@@ -54,6 +54,7 @@ def make_app():
     """
     import typer
 
+    from tofssm_drake.scripts.describe import describe
     from tofssm_drake.scripts.experiments import experiments
     from tofssm_drake.scripts.hardware import hardware
     from tofssm_drake.scripts.hardware_demo import hardware_demo
@@ -74,6 +75,7 @@ def make_app():
     app.command()(abort_on_interrupt(experiments))
     app.command()(abort_on_interrupt(hardware))
     app.command("hardware-demo")(abort_on_interrupt(hardware_demo))
+    app.command()(abort_on_interrupt(describe))
     app.command()(abort_on_interrupt(replay))
     app.command("simulated-rings")(abort_on_interrupt(simulated_rings))
     app.command("simulated-ur")(abort_on_interrupt(simulated_ur))

@@ -11,6 +11,8 @@ import pytest
 from tofssm_drake.diagrams.scenario import list_scenarios, load_scenario
 from tofssm_drake.diagrams.simulation import Run
 from tofssm_drake.diagrams.workcell import make_workcell
+from tofssm_drake.metrics.run_metrics import calc_run_metrics
+from tofssm_drake.recording.samples import write_samples
 
 ROOT = Path(__file__).parents[2]
 
@@ -136,6 +138,27 @@ def test_cast_rays():
     distances = example.measure()
     assert distances[0] == pytest.approx(1.5)
     assert np.isinf(distances).sum() < len(distances)
+
+
+def test_read_a_run(tmp_path):
+    pytest.importorskip("pandas", reason="of the extra `examples`")
+    example = importlib.import_module("examples.read_a_run")
+    scenario = load_scenario(text="{simulation_duration: 2.4}")
+    run = Run(workcell=make_workcell(scenario), scenario=scenario)
+    while not run.advance().finished:
+        pass
+    samples = run.make_samples()
+    write_samples(samples, tmp_path)
+    table = example.read_run(tmp_path)
+    assert table.attrs["unit"]["tcp_speed"] == "m/s"
+    stops = example.count_stops(table)
+    assert stops.sum() == calc_run_metrics(samples)["stop_events"] > 0
+    assert all(reason.startswith("stop: ") for reason in stops.index)
+    least = example.find_least_distances(table)
+    assert list(least.index) == list(samples.rings)
+    assert least["true_distance [m]"]["tool"] == pytest.approx(
+        samples["tool_true_distance"].min()
+    )
 
 
 def test_all_scenarios_of_examples_load():

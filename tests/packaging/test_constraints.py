@@ -24,7 +24,9 @@ def read_requirements():
     project = tomllib.loads((_ROOT / "pyproject.toml").read_text("utf-8"))
     project = project["project"]
     extras = project["optional-dependencies"]
-    return project["dependencies"] + extras["meshes"] + extras["test"]
+    return project["dependencies"] + [
+        *(*extras["meshes"], *extras["test"], *extras["examples"]),
+    ]
 
 
 @pytest.mark.parametrize("python", _DRAKE)

@@ -13,6 +13,7 @@ from synthetic_campaign import make_rows, make_small_plan
 from tofssm_drake.errors import UserError
 import tofssm_drake.paper.campaign as mut
 from tofssm_drake.paper.results import Results
+from tofssm_drake.recording.columns import UNITS, read_description
 
 
 def make_plan(**changes):
@@ -206,6 +207,22 @@ class TestFolder(unittest.TestCase):
             {path.name: path.stat().st_size > 0 for path in where.iterdir()},
             {"samples.parquet": True, "row.parquet": True},
         )
+
+    def test_each_column_has_a_unit_and_a_meaning(self):
+        plan = make_plan()
+        mut.open_folder(self.folder, plan)
+        run = plan.list_runs()[3]
+        row = mut.make_row(run, {"task_time_s": 3.0})
+        mut.store_run(self.folder, run, row, {})
+        results = mut.make_results(plan, {run.key: row})
+        for path in (
+            mut.get_run_folder(self.folder, run) / "row.parquet",
+            mut.write_results(self.folder, results),
+        ):
+            for field in pq.read_schema(path):
+                column = read_description(field)
+                self.assertIn(column.unit, UNITS, field.name)
+                self.assertTrue(column.meaning, field.name)
 
     def test_without_its_row_a_run_is_not_finished(self):
         plan = make_plan()

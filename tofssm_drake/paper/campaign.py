@@ -27,6 +27,8 @@ import pyarrow.parquet as pq
 
 from tofssm_drake.errors import UserError, require
 from tofssm_drake.laws.config import CONFIGURATIONS
+from tofssm_drake.metrics.metric_columns import METRIC_COLUMNS
+from tofssm_drake.recording.columns import Column, add_descriptions
 from tofssm_drake.recording.samples import PARTS, write_atomically
 
 SENSINGS = ("tof", "ideal", "lidar", "tof16")
@@ -131,6 +133,21 @@ _SENSING_LABEL = {
     "lidar": "Lidar",
 }
 _CONFIGURATION_LABEL = {"vo": "Vo", "vr": "Vr", "sm": "SM"}
+
+RESULT_COLUMNS = METRIC_COLUMNS | {
+    "run": Column(meaning="name of the run's folder"),
+    "sensing": Column(meaning="what watches the person"),
+    "configuration": Column(meaning="configuration of the safety law"),
+    "variant": Column(meaning="study that the run belongs to; empty: none"),
+    "trial": Column(meaning="number of the trial, from 1; 0: no person"),
+    "seed": Column(meaning="seed of the trial; 0: no person"),
+    "speed": Column(unit="m/s", meaning="walking speed of the trial's person"),
+    "stature": Column(unit="m", meaning="standing height of that person"),
+    "productivity_measured": Column(
+        meaning="task time of the run without a person over this one's"
+    ),
+}
+"""What the columns of a campaign's tables are."""
 
 _PLAN_FILE = "campaign.json"
 _SCRATCH = ".scratch"
@@ -524,7 +541,7 @@ def store_run(
         write_atomically(
             where / name, lambda p, content=content: p.write_bytes(content)
         )
-    table = pa.Table.from_pylist([row])
+    table = add_descriptions(pa.Table.from_pylist([row]), RESULT_COLUMNS)
     write_atomically(where / "row.parquet", lambda p: pq.write_table(table, p))
 
 
@@ -609,6 +626,7 @@ def write_results(folder: Path, results: list[dict]) -> Path:
     table = pa.Table.from_pydict(
         {name: [row.get(name) for row in results] for name in names}
     )
+    table = add_descriptions(table, RESULT_COLUMNS)
     buffer = io.BytesIO()
     pq.write_table(table, buffer)
     write_atomically(path, lambda p: p.write_bytes(buffer.getvalue()))

@@ -12,9 +12,11 @@ Conventions, here and in the files:
   because there was no sample yet.
 - `NaN` means *not known*: the `measured_distance` of a ring that has not
   delivered a scan yet, witness points and closing speeds without a person.
-- States and readings are small integers (`RobotState`, `RingHealth`,
-  `Reading` of `tofssm_drake.messages`); -1 means *none* for indices, and for
-  the state of a link *not known*.
+- Each column of the files says its unit and what it is (`columns`).
+- States, readings and other codes are small integers here (`RobotState`,
+  `RingHealth`, `Reading` of `tofssm_drake.messages`) and categories by name
+  in the files; -1, there null, means *none* for indices, and for the state of
+  a link *not known*.
 - `robot_state` is what the law's target speed fraction amounts to. A link has
   the law's own state of it. If the law has none, the link that decides has
   the robot's, and while the robot may run at full speed, all have.
@@ -32,6 +34,14 @@ import pyarrow.parquet as pq
 
 from tofssm_drake.errors import UserError
 from tofssm_drake.messages import LinkSignal
+from tofssm_drake.recording.columns import (
+    SCAN_COLUMNS,
+    Column,
+    add_descriptions,
+    describe_columns,
+    read_description,
+    split_name,
+)
 
 _KEY = b"tofssm"
 
@@ -81,6 +91,9 @@ _INTEGERS = {
 }
 
 
+_SCANNED = {"distance": np.float32, "reading": np.int8, "fault": np.int8}
+
+
 @dc.dataclass(kw_only=True)
 class Samples:
     """A run's recorded columns with the metadata to read them.
@@ -128,6 +141,16 @@ class Samples:
             name: LinkSignal(**signal)
             for name, signal in law["signals"].items()
         }
+
+    @property
+    def columns(self) -> dict[str, Column]:
+        """What each column is, by name."""
+        return describe_columns(
+            self.column,
+            links=self.rings,
+            signals=self.signals,
+            metadata=self.metadata,
+        )
 
     def find_bound(self, bound: str) -> str:
         """Returns the signal that is such a bound, see `LinkSignal`.
@@ -248,10 +271,7 @@ def write_samples(samples: Samples, folder: Path) -> list[Path]:
     """
     folder = Path(folder)
     metadata = {_KEY: json.dumps(samples.metadata, sort_keys=True).encode()}
-    columns = {
-        name: _to_arrow(values) for name, values in samples.column.items()
-    }
-    table = pa.table(columns).replace_schema_metadata(metadata)
+    table = _make_table(samples).replace_schema_metadata(metadata)
     paths = [folder / "samples.parquet", folder / "scans.parquet"]
     write_atomically(paths[0], lambda p: _write_table(table, p))
     scans = _make_scan_table(samples).replace_schema_metadata(metadata)
@@ -281,8 +301,12 @@ def read_samples(path: Path, kinds: tuple[str, ...] | None = None) -> Samples:
     if "t" not in table.column_names:
         raise UserError(f"{path}: not a table of samples: no column `t`")
     metadata = json.loads((table.schema.metadata or {}).get(_KEY, b"{}"))
+    links = metadata.get("rings") or _find_links(table.column_names)
     column = {
-        name: np.asarray(table[name].to_numpy()) for name in table.column_names
+        field.name: _from_arrow(
+            table[field.name], field, split_name(field.name, links)[1]
+        )
+        for field in table.schema
     }
     samples = Samples(column=column, metadata=metadata)
     scans = path.with_name("scans.parquet")
@@ -320,7 +344,13 @@ def _read_table(path, kinds=None):
 def _write_table(table, path):
     # Hardly any measured number comes twice: to look for it takes half of the
     # time, and the file is a quarter larger.
-    repeated = [f.name for f in table.schema if not _is_measured(f.type)]
+    repeated = [
+        f"{field.name}.list.element"
+        if pa.types.is_list(field.type)
+        else field.name
+        for field in table.schema
+        if not _is_measured(field.type)
+    ]
     pq.write_table(table, path, compression="zstd", use_dictionary=repeated)
 
 
@@ -330,10 +360,43 @@ def _is_measured(kind):
     return pa.types.is_floating(kind)
 
 
-def _to_arrow(values):
+def _make_table(samples):
+    columns = samples.columns
+    table = pa.table(
+        {
+            name: _to_arrow(values, columns[name].codes)
+            for name, values in samples.column.items()
+        }
+    )
+    return add_descriptions(table, columns)
+
+
+def _to_arrow(values, codes):
+    """Returns values as a column; codes as categories by name."""
     if values.dtype == object:
         return pa.array(values, type=pa.string()).dictionary_encode()
-    return pa.array(values)
+    # Bodies may share a name, and a record may lack names: then the codes.
+    is_named = len(set(codes)) == len(codes) > values.max(initial=-1)
+    if not codes or not is_named:
+        return pa.array(values)
+    indices = pa.array(values, mask=values < 0)
+    return pa.DictionaryArray.from_arrays(indices, pa.array(codes))
+
+
+def _from_arrow(column, field, kind):
+    """Returns a column's values; of categories with codes the codes."""
+    codes = read_description(field).codes
+    if not (codes and pa.types.is_dictionary(column.type)):
+        return np.asarray(column.to_numpy())
+    return narrow_type(kind, _find_codes(column.combine_chunks(), codes))
+
+
+def _find_codes(array, codes):
+    """Returns the code of each element of categories; of null -1."""
+    # A reader may have put the names into another order.
+    names = array.dictionary.to_pylist()
+    code = np.array([*(codes.index(name) for name in names), -1])
+    return code[array.indices.fill_null(len(names)).to_numpy()]
 
 
 def _make_scan_table(samples):
@@ -347,23 +410,34 @@ def _make_scan_table(samples):
         fault += list(scan.get("fault", np.zeros_like(scan["reading"])))
     time = np.concatenate(time) if time else np.empty(0)
     order = np.argsort(time, kind="stable")
-    return pa.table(
+    table = pa.table(
         {
             "t": time[order],
             "ring": pa.array(
                 [ring[i] for i in order], type=pa.string()
             ).dictionary_encode(),
-            "distance": pa.array(
-                [distance[i] for i in order], type=pa.list_(pa.float32())
+            "distance": _to_lists([distance[i] for i in order], np.float32),
+            "reading": _to_lists(
+                [reading[i] for i in order],
+                np.int8,
+                SCAN_COLUMNS["reading"].codes,
             ),
-            "reading": pa.array(
-                [reading[i] for i in order], type=pa.list_(pa.int8())
-            ),
-            "fault": pa.array(
-                [fault[i] for i in order], type=pa.list_(pa.int8())
+            "fault": _to_lists(
+                [fault[i] for i in order],
+                np.int8,
+                SCAN_COLUMNS["fault"].codes,
             ),
         }
     )
+    return add_descriptions(table, SCAN_COLUMNS)
+
+
+def _to_lists(rows, dtype, codes=()):
+    """Returns rows of numbers or codes as a column of lists."""
+    ends = np.cumsum([0, *map(len, rows)], dtype=np.int32)
+    values = np.concatenate(rows) if rows else np.empty(0)
+    values = _to_arrow(values.astype(dtype), codes)
+    return pa.ListArray.from_arrays(pa.array(ends), values)
 
 
 def _split_scan_table(table, rings):
@@ -373,17 +447,20 @@ def _split_scan_table(table, rings):
     for name in rings:
         rows = np.flatnonzero(ring == name)
         part = table.take(rows)
-        result[name] = {
-            "time": time[rows],
-            "distance": _to_matrix(part["distance"], np.float32),
-            "reading": _to_matrix(part["reading"], np.int8),
-        }
-        if "fault" in part.column_names:
-            result[name]["fault"] = _to_matrix(part["fault"], np.int8)
+        result[name] = {"time": time[rows]}
+        for kind, dtype in _SCANNED.items():
+            # Older files have no faults.
+            if kind in part.column_names:
+                codes = read_description(part.schema.field(kind)).codes
+                result[name][kind] = _to_matrix(part[kind], dtype, codes)
     return result
 
 
-def _to_matrix(column, dtype):
+def _to_matrix(column, dtype, codes):
     rows = len(column)
-    flat = column.combine_chunks().flatten().to_numpy(zero_copy_only=False)
+    flat = column.combine_chunks().flatten()
+    if pa.types.is_dictionary(flat.type):
+        flat = _find_codes(flat, codes)
+    else:
+        flat = flat.to_numpy(zero_copy_only=False)
     return np.asarray(flat, dtype=dtype).reshape(rows, -1 if rows else 0)

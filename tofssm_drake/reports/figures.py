@@ -130,19 +130,19 @@ def find_deciding_ring(samples: Samples) -> np.ndarray:
     """Returns the index of the ring that decides at each tick, (k,).
 
     The ring with the lowest known state; among equals the one whose measured
-    distance is nearest to its critical distance, or least far beyond it;
-    among rings that see nothing, the one with the longest critical distance.
-    A law without critical distances counts as one of 0 m.
+    distance is nearest to its stop distance, or least far beyond it; among
+    rings that see nothing, the one with the longest stop distance. A law
+    without stop distances counts as one of 0 m.
     """
     state = samples.ring("state").astype(float)
     state[state < 0] = float(max(RobotState))
     measured = samples.ring("measured_distance")
     stop = samples.find_bound("stop")
-    critical = 0.0
+    stop_distance = 0.0
     if stop:
-        critical = np.nan_to_num(samples.ring(stop), posinf=1e3)
+        stop_distance = np.nan_to_num(samples.ring(stop), posinf=1e3)
     # Far beyond any range, so that what sees something comes first.
-    margin = np.where(np.isfinite(measured), measured, 1e4) - critical
+    margin = np.where(np.isfinite(measured), measured, 1e4) - stop_distance
     return np.argmin(state * 1e6 + margin, axis=1)
 
 
@@ -279,7 +279,7 @@ def _draw_bounds(ax, samples, get, narrow):
 
 
 def _to_symbol(name):
-    """Returns a signal's name as Matplotlib shows it: d_C with an index."""
+    """Returns a signal's name as Matplotlib shows it: x_y with an index."""
     symbol, underscore, index = name.partition("_")
     if len(symbol) == 1 and underscore and "_" not in index:
         return f"${symbol}_{{{index}}}$" if len(index) > 1 else f"${name}$"

@@ -93,8 +93,9 @@ def make_verdict(
                 (
                     "note",
                     f"A stop came late {_times(late)}: the person was truly "
-                    "within a link's critical distance for more than "
-                    f"{USUAL_DELAY:.2f} s before a stop was asked for.",
+                    "within the distance at which a link stops the robot for "
+                    f"more than {USUAL_DELAY:.2f} s before a stop was asked "
+                    "for.",
                 )
             ]
             if late
@@ -324,7 +325,7 @@ def describe_cause(
     if approach.cause == "late":
         return (
             f"Why: {late}, although the person was inside a beam of the "
-            f"{_call(approach.ring, noun)}: its reading or the filter came "
+            f"{_call(approach.ring, noun)}: its reading or the law came "
             "too late."
         )
     if approach.cause == "beyond":
@@ -375,12 +376,12 @@ def describe_ring(ring: RingApproach, noun: str = "ring") -> str:
     """Describes how one ring followed the approach, see describe_contact."""
     name = _call(ring.ring, noun)
     if math.isinf(ring.due):
-        text = f"{name}: the person was never within its d_C"
+        text = f"{name}: the person was never within its stop distance"
         if math.isfinite(ring.reacted):
             text += f"; it said stop at {ring.reacted:.2f} s all the same"
         return f"{text}."
     text = (
-        f"{name}: the person came within its d_C of "
+        f"{name}: the person came within its stop distance of "
         f"{ring.d_C:.2f} m at {ring.due:.2f} s; it "
     )
     if ring.late == 0.0:
@@ -692,7 +693,7 @@ def _describe_audit(samples, audit):
     sentences = [
         f"At worst, at {worst.time:.2f} s ({link}, "
         f"{_describe_motion(worst.v_r)}), the standard asks "
-        f"for {worst.S_p:.2f} m where the law kept d_C = {worst.d_C:.2f} m: "
+        f"for {worst.S_p:.2f} m where the law stops at {worst.d_C:.2f} m: "
         f"{_describe_gap(worst.worst)}.",
         f"For {audit.inside:.1f} s the robot was not told to stop though the "
         "person was truly nearer to a watched link than the standard's "
@@ -818,11 +819,13 @@ def _make_facts(samples, summary):
     ):
         if (
             key == "sensors_per_ring"
-            and metadata.get("sensing", "rings") != "tof"
+            and metadata.get("sensing", "rings") != "rings"
         ):
             continue
-        if metadata.get(key) is not None:
-            facts.append((term, metadata[key]))
+        value = metadata.get(key)
+        if isinstance(value, dict):
+            value = ", ".join(f"{name} {n}" for name, n in value.items())
+        facts.append((term, value))
     facts.append(("Simulated", format_number(summary["simulated_s"], 1, "s")))
     factor = summary.get("real_time_factor")
     if factor is not None:

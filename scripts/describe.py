@@ -1,0 +1,75 @@
+"""`tofssm describe`: lists the columns of a run's tables with their units."""
+
+from pathlib import Path
+from typing import Annotated
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+import typer
+
+from tofssm_drake.errors import UserError, require
+from tofssm_drake.recording.columns import read_description
+import tofssm_drake.scripts.options as options
+
+
+def describe(
+    run: Annotated[
+        Path,
+        typer.Argument(
+            parser=options.parse_path,
+            help="Folder of a run or of a campaign, or one of its tables.",
+        ),
+    ],
+) -> int:
+    """List the columns of the tables (*.parquet) with unit and meaning."""
+    for path in find_tables(run):
+        schema, rows = read_schema(path)
+        print(f"{path}: {rows} rows, {len(schema)} columns")
+        for line in list_columns(schema):
+            print(line)
+    return 0
+
+
+def find_tables(run: Path) -> list[Path]:
+    """Returns the tables of a run.
+
+    Args:
+        run: Folder, or a table.
+
+    Raises:
+        UserError: There is none.
+    """
+    paths = sorted(run.glob("*.parquet")) if run.is_dir() else [run]
+    require(len(paths) > 0, f"RUN: there is no table (*.parquet) in {run}")
+    return paths
+
+
+def read_schema(path: Path) -> tuple[pa.Schema, int]:
+    """Returns a table's schema and its number of rows.
+
+    Raises:
+        UserError: It cannot be read.
+    """
+    try:
+        file = pq.ParquetFile(path)
+    except (OSError, pa.ArrowInvalid) as error:
+        reason = str(error).splitlines()[0]
+        raise UserError(f"{path}: cannot be read: {reason}") from error
+    return file.schema_arrow, file.metadata.num_rows
+
+
+def list_columns(schema: pa.Schema) -> list[str]:
+    """Returns a line for each column: name, unit, meaning, names of codes.
+
+    A `?` stands for what a table of an earlier version does not say.
+    """
+    columns = {field.name: read_description(field) for field in schema}
+    width = max(map(len, columns), default=0)
+    lines = []
+    for name, column in columns.items():
+        line = f"  {name:{width}}  {column.unit or '?':5}  "
+        line += column.meaning or "?"
+        if column.codes:
+            line += f" ({', '.join(column.codes)})"
+        lines.append(line)
+    return lines

@@ -1,0 +1,160 @@
+"""Makes the pictures of the documentation again: `make images`.
+
+It draws the Diagrams with Graphviz and runs the default scenario for the
+picture of the cell, which a browser without a window takes of its replay. On
+Debian: `apt-get install graphviz chromium`.
+"""
+
+from pathlib import Path
+import re
+import shutil
+import subprocess
+import sys
+import tempfile
+
+import numpy as np
+from pydrake.systems.framework import Diagram
+
+from tofssm_drake.diagrams.scenario import load_scenario
+from tofssm_drake.diagrams.workcell import make_workcell
+from tofssm_drake.errors import UserError, require
+from tofssm_drake.messages import RobotState
+from tofssm_drake.recording.samples import (
+    Samples,
+    read_samples,
+    write_atomically,
+)
+from tofssm_drake.scripts.main import run
+
+# Graphviz's and a browser's.
+_DOT = "dot"
+_BROWSERS = ("chromium", "chromium-browser", "google-chrome")
+_SIZE = (1280, 760)
+# So long that the strip of states below the picture can be read, s.
+_DURATION = 24.0
+# The person is near, but does not hide the robot.
+_NEAR = 0.25
+# A software renderer takes long for the first frame.
+_PATIENCE = 600.0
+
+
+def simplify(dot: str) -> str:
+    """Returns Drake's picture of a Diagram so that it fits on a page.
+
+    Classes lose their modules, the frame around all and its title are not
+    drawn, and the numbers of the systems, which differ in each process, are
+    counted anew.
+    """
+    numbers = {}
+
+    def count(match):
+        number = numbers.setdefault(match[2], len(numbers))
+        return f"{match[1]}{number}"
+
+    dot = re.sub(r"\b(_|s|clusters?)(\d+)", count, dot)
+    dot = re.sub(r"<B>[\w.]*\.(\w+)</B>", r"<B>\1</B>", dot)
+    dot = dot.replace("<BR/>\nname=", "<BR/>\n")
+    dot = re.sub(r"label=<<TABLE.*?>>;", 'label=""', dot, count=1, flags=re.S)
+    dot = dot.replace("rankdir=LR", "rankdir=LR\nranksep=0.4", 1)
+    return dot.replace("color=black", "color=white", 1)
+
+
+def draw(diagram: Diagram, path: Path) -> None:
+    """Draws a Diagram with its systems as an SVG."""
+    dot = simplify(diagram.GetGraphvizString(max_depth=1))
+
+    def write(temporary):
+        subprocess.run(
+            [_DOT, "-Tsvg", "-o", temporary], input=dot, text=True, check=True
+        )
+
+    write_atomically(path, write)
+
+
+def draw_diagrams(folder: Path) -> None:
+    """Draws the default scenario's workcell and its monitor."""
+    workcell = make_workcell(load_scenario())
+    draw(workcell.diagram, folder / "diagram.svg")
+    monitor = workcell.diagram.GetSubsystemByName("monitor")
+    draw(monitor, folder / "monitor.svg")
+
+
+def find_instant(samples: Samples) -> float:
+    """Returns when the robot stands still and a person is near, s."""
+    distance = np.where(
+        (samples["robot_state"] == RobotState.STOP)
+        & (samples["tcp_speed"] < 0.01)
+        & (samples["true_distance"] > _NEAR),
+        samples["true_distance"],
+        np.inf,
+    )
+    require(np.isfinite(distance).any(), "the robot never stops for a person")
+    return float(samples["t"][np.argmin(distance)])
+
+
+def photograph_cell(folder: Path, browser: str) -> None:
+    """Runs the default scenario and takes a picture of its replay."""
+    with tempfile.TemporaryDirectory() as name:
+        out = Path(name)
+        require(
+            run(["simulate", f"--duration={_DURATION:g}", "--out", name]) == 0,
+            "the default scenario did not run",
+        )
+        instant = find_instant(read_samples(out))
+        page = f"{(out / 'recording.html').as_uri()}#t={instant:.2f}"
+        write_atomically(
+            folder / "cell.png", lambda p: take_picture(browser, page, p)
+        )
+
+
+def take_picture(browser: str, page: str, path: Path) -> None:
+    """Writes what a browser shows of a page as a PNG.
+
+    Raises:
+        UserError: It did not show it in time.
+    """
+    width, height = _SIZE
+    # It takes the kind of picture from the name.
+    picture = path.with_suffix(".png")
+    command = [
+        *(browser, "--headless", "--no-sandbox", "--hide-scrollbars"),
+        # WebGL without a graphics card.
+        *("--use-gl=angle", "--use-angle=swiftshader"),
+        *("--enable-unsafe-swiftshader", "--virtual-time-budget=3000"),
+        *(f"--window-size={width},{height}", f"--screenshot={picture}", page),
+    ]
+    try:
+        subprocess.run(
+            command, check=True, capture_output=True, timeout=_PATIENCE
+        )
+        picture.replace(path)
+    except (subprocess.SubprocessError, OSError) as error:
+        picture.unlink(missing_ok=True)
+        raise UserError(f"{browser}: took no picture: {error}") from None
+
+
+def draw_docs(folder: Path) -> None:
+    """Makes all pictures.
+
+    Args:
+        folder: An existing folder; pictures in it are replaced.
+
+    Raises:
+        UserError: A program is missing, or a picture could not be made.
+    """
+    browser = next(filter(None, map(shutil.which, _BROWSERS)), None)
+    require(
+        shutil.which(_DOT) is not None and browser is not None,
+        "Graphviz's program dot and Chromium are needed (apt-get install "
+        "graphviz chromium)",
+    )
+    require(folder.is_dir(), f"there is no folder {folder}")
+    draw_diagrams(folder)
+    photograph_cell(folder, browser)
+
+
+if __name__ == "__main__":
+    try:
+        draw_docs(Path(sys.argv[1] if len(sys.argv) > 1 else "docs/images"))
+    except UserError as error:
+        sys.exit(f"draw_docs: {error}")
