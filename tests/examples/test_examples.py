@@ -94,6 +94,7 @@ def test_cast_rays():
 
 
 def test_all_scenarios_of_examples_load():
-    for file in sorted(Path("examples").glob("*.yaml")):
+    study = Path("examples/my_study.yaml")
+    for file in sorted(set(Path("examples").glob("*.yaml")) - {study}):
         for name in list_scenarios(file):
             load_scenario(filename=file, name=name)
