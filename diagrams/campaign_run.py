@@ -1,25 +1,25 @@
 """Makes and executes one run of a campaign, on any machine."""
 
+from collections.abc import Iterator, Mapping
+import contextlib
 import copy
 import dataclasses as dc
 from pathlib import Path
 import tempfile
 
+from tofssm_drake.diagrams.people import Person
 from tofssm_drake.diagrams.run_metadata import describe_scenario
-from tofssm_drake.diagrams.scenario import (
-    Scenario,
-    change_scenario,
-    load_scenario,
-)
-from tofssm_drake.diagrams.sensors.rings import find_rings
+from tofssm_drake.diagrams.scenario import Scenario
 from tofssm_drake.diagrams.simulation import Run
 from tofssm_drake.diagrams.workcell import make_workcell
 from tofssm_drake.metrics.audit import calc_audit
 from tofssm_drake.metrics.run_metrics import calc_run_metrics
-from tofssm_drake.paper.campaign import VARIANTS, PlannedRun, make_row
 from tofssm_drake.people.bvh import BvhRecording
-from tofssm_drake.people.walk import GeneratedWalk
+from tofssm_drake.people.custom_motion import CustomMotion
 from tofssm_drake.recording.samples import write_samples
+from tofssm_drake.studies.campaign import PlannedRun
+from tofssm_drake.studies.results import make_row
+from tofssm_drake.studies.trials import Trial, make_trial
 
 
 @dc.dataclass(frozen=True, kw_only=True)
@@ -34,31 +34,49 @@ class Outcome:
 
 
 def make_run_scenario(
-    base: Scenario, run: PlannedRun, motion: str | None = None
+    cell: Scenario, trial: Trial | None, motion: str | None = None
 ) -> Scenario:
     """Returns the scenario of one run of a campaign.
 
     Args:
-        base: What all runs have in common; not changed. A generated walk or
-            a recording in it sets what the trials do not: the place of the
-            figure of eight.
-        run: Cell and trial.
-        motion: File name of the recording to replay instead of a generated
-            walk; it keeps its own speed and stature.
+        cell: The scenario of the cell; not changed.
+        trial: None: nobody is there.
+        motion: File name of the recording to replay instead of the people's
+            own gait; it keeps its own speed and stature.
     """
-    scenario = copy.deepcopy(base)
-    cell, trial = run.cell, run.trial
-    scenario.law.configuration = cell.configuration
-    scenario.sensors = _choose_sensors(base, cell.sensing)
-    if cell.variant:
-        scenario = change_scenario(
-            scenario, VARIANTS[cell.variant].changes, source=cell.key
-        )
+    scenario = copy.deepcopy(cell)
     if trial is None:
         scenario.people = {}
         return scenario
     scenario.random_seed = trial.seed
-    ((name, person),) = scenario.people.items()
+    scenario.people = {
+        name: vary_person(
+            person, make_trial(trial.seed, i) if i else trial, motion
+        )
+        for i, (name, person) in enumerate(scenario.people.items())
+    }
+    return scenario
+
+
+def vary_person(
+    person: Person, trial: Trial, motion: str | None = None
+) -> Person:
+    """Returns a person as a trial has it.
+
+    A walk gets the trial's speed, stature and way. A recording gets the way;
+    it keeps its speed and stature. A motion of one's own gets the trial's seed
+    if it has a parameter `seed`, and else stays as it is.
+
+    Args:
+        person: Of the scenario; not changed.
+        trial: Who walks how.
+        motion: See `make_run_scenario`.
+    """
+    if isinstance(person, CustomMotion):
+        seed = (
+            {"seed": float(trial.seed)} if "seed" in person.parameters else {}
+        )
+        return dc.replace(person, parameters=person.parameters | seed)
     path = copy.deepcopy(person.figure_eight)
     path.start = trial.start
     path.reverse = trial.reverse
@@ -67,66 +85,52 @@ def make_run_scenario(
     ]
     path.half_length *= trial.half_length
     path.half_width *= trial.half_width
-    if motion is None:
-        person = GeneratedWalk(
-            speed=trial.speed, stature=trial.stature, figure_eight=path
-        )
-    else:
-        person = BvhRecording(filename=motion, figure_eight=path)
-    scenario.people = {name: person}
-    return scenario
+    if motion is not None:
+        return BvhRecording(filename=motion, figure_eight=path)
+    if isinstance(person, BvhRecording):
+        return dc.replace(person, figure_eight=path)
+    return dc.replace(
+        person, speed=trial.speed, stature=trial.stature, figure_eight=path
+    )
 
 
-def _choose_sensors(base, sensing):
-    """Returns the sensors of a cell.
-
-    The rings are the base's, which may have changed; 16 sensors each if the
-    cell says so.
-    """
-    if sensing == "ideal":
-        return load_scenario(name="MotionCapture").sensors
-    if sensing == "lidar":
-        return load_scenario(name="PlanarLidar").sensors
-    sensors = copy.deepcopy(base.sensors)
-    if sensing == "tof16":
-        for ring in find_rings(sensors).values():
-            ring.count = 16
-    return sensors
+def find_recordings(scenario: Scenario) -> dict[str, BvhRecording]:
+    """Returns the recordings that the people replay, by file name."""
+    return {
+        person.filename: person
+        for person in scenario.people.values()
+        if isinstance(person, BvhRecording)
+    }
 
 
 def execute(
-    base: Scenario,
+    cell: Scenario,
     run: PlannedRun,
-    motion: tuple[str, bytes] | None = None,
+    motion: str | None = None,
+    recordings: Mapping[str, bytes] | None = None,
 ) -> Outcome:
     """Runs one run of a campaign to its end.
 
     It neither needs files of the calling machine nor leaves any.
 
     Args:
-        base: See `make_run_scenario`.
+        cell: See `make_run_scenario`.
         run: Cell and trial.
-        motion: Name and content of the recording to replay.
+        motion: See `make_run_scenario`.
+        recordings: Contents of the recordings that are replayed, by file name.
     """
-    scenario = make_run_scenario(base, run, motion and motion[0])
+    scenario = make_run_scenario(cell, run.trial, motion)
     scenario.check()
     with tempfile.TemporaryDirectory(prefix="tofssm-") as folder:
-        if motion is not None:
-            path = Path(folder) / motion[0]
-            path.write_bytes(motion[1])
-            for person in scenario.people.values():
-                person.filename = str(path)
-        workcell = make_workcell(scenario)
-        simulation = Run(workcell=workcell, scenario=scenario)
-        progress = simulation.advance()
-        while not progress.finished:
+        with _place_recordings(scenario, recordings or {}, Path(folder)):
+            simulation = Run(
+                workcell=make_workcell(scenario), scenario=scenario
+            )
             progress = simulation.advance()
-        samples = simulation.make_samples()
-        if motion is not None:
-            # The path on this machine is of no use elsewhere.
-            for person in scenario.people.values():
-                person.filename = motion[0]
-            samples.metadata["scenario"] = describe_scenario(scenario)
+            while not progress.finished:
+                progress = simulation.advance()
+            samples = simulation.make_samples()
+        samples.metadata["scenario"] = describe_scenario(scenario)
         files = {
             path.name: path.read_bytes()
             for path in write_samples(samples, Path(folder))
@@ -137,3 +141,25 @@ def execute(
         metrics |= audit.make_row()
     row = make_row(run, metrics)
     return Outcome(row=row, files=files, simulated=progress.time)
+
+
+@contextlib.contextmanager
+def _place_recordings(
+    scenario: Scenario, recordings: Mapping[str, bytes], folder: Path
+) -> Iterator[None]:
+    """Lets people replay copies of their recordings; names are put back.
+
+    The paths on this machine are of no use elsewhere.
+    """
+    moved = []
+    for i, (name, person) in enumerate(scenario.people.items()):
+        if isinstance(person, BvhRecording):
+            path = folder / f"{i}_{Path(person.filename).name}"
+            path.write_bytes(recordings[person.filename])
+            moved.append((name, person.filename))
+            person.filename = str(path)
+    try:
+        yield
+    finally:
+        for name, filename in moved:
+            scenario.people[name].filename = filename

@@ -6,133 +6,78 @@ import unittest
 
 from bvh_writer import write_bvh
 import numpy as np
-from paper_cell import change_rings
 import pyarrow.parquet as pq
 
 import tofssm_drake.diagrams.campaign_run as mut
-from tofssm_drake.diagrams.scenario import (
-    dump_scenario,
-    find_threshold_offsets,
-    load_scenario,
-)
-from tofssm_drake.diagrams.sensors import MotionCapture
-from tofssm_drake.laws.config import CONFIGURATIONS
-from tofssm_drake.paper.campaign import (
-    SENSINGS,
-    VARIANTS,
-    Cell,
-    PlannedRun,
-    make_trial,
-)
+from tofssm_drake.diagrams.scenario import load_scenario
+from tofssm_drake.people.bvh import BvhRecording
+from tofssm_drake.people.custom_motion import CustomMotion
+from tofssm_drake.people.walk import GeneratedWalk
+from tofssm_drake.studies.campaign import PlannedRun
+from tofssm_drake.studies.study import StudyCell
+from tofssm_drake.studies.trials import make_trial
 
 
-def make_run(sensing="tof", configuration="vo", variant="", number=1):
-    return PlannedRun(
-        cell=Cell(
-            sensing=sensing, configuration=configuration, variant=variant
-        ),
-        trial=make_trial(0, number),
-    )
+def make_run(number=1):
+    return PlannedRun(cell=StudyCell(name="Mine"), trial=make_trial(0, number))
 
 
 class TestScenario(unittest.TestCase):
     def setUp(self):
         self.base = load_scenario()
 
-    def test_every_cell_makes_a_checked_scenario(self):
-        before = dump_scenario(self.base)
-        for sensing in SENSINGS:
-            for configuration in CONFIGURATIONS:
-                for number in range(1, 20):
-                    run = make_run(sensing, configuration, number=number)
-                    scenario = mut.make_run_scenario(self.base, run)
-                    scenario.check()
-                    self.assertEqual(scenario.random_seed, run.trial.seed)
-                    self.assertEqual(scenario.law.configuration, configuration)
-        self.assertEqual(dump_scenario(self.base), before)
-
-    def test_sensing(self):
-        for sensing, expected in (
-            ("tof", "Default"),
-            ("tof16", "SixteenSensors"),
-            ("ideal", "MotionCapture"),
-            ("lidar", "PlanarLidar"),
-        ):
-            scenario = mut.make_run_scenario(self.base, make_run(sensing))
-            self.assertEqual(
-                scenario.sensors, load_scenario(name=expected).sensors
-            )
-
-    def test_changed_rings_are_those_of_the_cells(self):
-        base = load_scenario(text=change_rings("{sensor: {dropout: 0.1}}"))
-        for sensing, count in (("tof", 8), ("tof16", 16)):
-            scenario = mut.make_run_scenario(base, make_run(sensing))
-            for ring in scenario.sensors.values():
-                self.assertEqual(ring.count, count)
-                self.assertEqual(ring.sensor.dropout, 0.1)
-
-    def test_the_papers_table(self):
-        for sensing, expected in (
-            ("tof", (0.3, 0.5, 1.1)),
-            ("ideal", (0.3, 0.5, 1.1)),
-            ("lidar", (1.12, 1.32, 1.92)),
-        ):
-            scenario = mut.make_run_scenario(self.base, make_run(sensing))
-            law = scenario.law.grow(find_threshold_offsets(scenario)[0])
-            self.assertEqual((law.C_dC, law.d_C_sm, law.d_R_sm), expected)
-            self.assertEqual((law.T_red, law.T_stop, law.T_R), (0.4, 0.4, 0.1))
-            self.assertEqual((law.alpha_I, law.alpha_D), (0.3, 0.8))
-
-    def test_the_same_person_in_every_cell(self):
-        people = [
-            dump_scenario(mut.make_run_scenario(self.base, make_run(s, c)))[
-                "people"
-            ]["visitor"]
-            for s in SENSINGS
-            for c in CONFIGURATIONS
-        ]
-        self.assertTrue(all(person == people[0] for person in people))
+    def test_a_walk_gets_the_trials_speed_stature_and_way(self):
         trial = make_trial(0, 1)
-        self.assertEqual(people[0]["speed"], trial.speed)
-        self.assertEqual(people[0]["figure_eight"]["start"], trial.start)
+        scenario = mut.make_run_scenario(self.base, trial)
+        scenario.check()
+        (person,) = scenario.people.values()
+        self.assertEqual(scenario.random_seed, trial.seed)
+        self.assertEqual(person.speed, trial.speed)
+        self.assertEqual(person.stature, trial.stature)
+        self.assertEqual(person.figure_eight.start, trial.start)
         self.assertAlmostEqual(
-            people[0]["figure_eight"]["centre"][0], 1.15 + trial.centre[0]
+            person.figure_eight.centre[0], 1.15 + trial.centre[0]
         )
+        self.assertEqual(self.base, load_scenario())
 
-    def test_every_variant_changes_something(self):
-        for variant in VARIANTS.values():
-            for sensing in variant.sensings:
-                for configuration in variant.configurations:
-                    run = make_run(sensing, configuration, variant.key)
-                    changed = mut.make_run_scenario(self.base, run)
-                    plain = mut.make_run_scenario(
-                        self.base, make_run(sensing, configuration)
-                    )
-                    self.assertNotEqual(
-                        dump_scenario(changed), dump_scenario(plain)
-                    )
-                    # A late sample must not be taken for a lost one.
-                    for sensor in changed.sensors.values():
-                        if isinstance(sensor, MotionCapture):
-                            self.assertGreaterEqual(
-                                changed.law.deadline, sensor.latency + 0.1
-                            )
+    def test_two_people_differ(self):
+        self.base.people["other"] = GeneratedWalk()
+        scenario = mut.make_run_scenario(self.base, make_trial(0, 1))
+        one, other = scenario.people.values()
+        self.assertNotEqual(one.speed, other.speed)
+        # The first one is as if alone.
+        alone = mut.make_run_scenario(load_scenario(), make_trial(0, 1))
+        self.assertEqual(one, alone.people["visitor"])
+
+    def test_a_motion_of_ones_own_gets_the_seed_if_it_asks_for_it(self):
+        trial = make_trial(0, 1)
+        plain = CustomMotion(factory="a:b", parameters={"swing": 0.1})
+        self.assertEqual(mut.vary_person(plain, trial), plain)
+        asks = CustomMotion(factory="a:b", parameters={"seed": 0.0})
+        person = mut.vary_person(asks, trial)
+        self.assertEqual(person.parameters, {"seed": trial.seed})
+        self.assertEqual(asks.parameters, {"seed": 0.0})
 
     def test_nobody_there(self):
-        run = PlannedRun(cell=make_run("lidar", "sm").cell)
-        scenario = mut.make_run_scenario(self.base, run)
+        scenario = mut.make_run_scenario(self.base, None)
         self.assertEqual(scenario.people, {})
-        self.assertEqual(list(scenario.sensors), ["lidar"])
+        self.assertEqual(scenario.random_seed, self.base.random_seed)
 
     def test_recording(self):
         base = copy.deepcopy(self.base)
         base.people["visitor"].figure_eight.half_length = 1.4
-        scenario = mut.make_run_scenario(base, make_run(), "walk.bvh")
-        self.assertEqual(scenario.people["visitor"].filename, "walk.bvh")
+        trial = make_trial(0, 1)
+        scenario = mut.make_run_scenario(base, trial, "walk.bvh")
+        person = scenario.people["visitor"]
+        self.assertEqual(person.filename, "walk.bvh")
         self.assertAlmostEqual(
-            scenario.people["visitor"].figure_eight.half_length,
-            1.4 * make_trial(0, 1).half_length,
+            person.figure_eight.half_length, 1.4 * trial.half_length
         )
+        # One that the scenario has itself keeps its settings.
+        base.people["visitor"] = BvhRecording(filename="a.bvh", speed=1.1)
+        (person,) = mut.make_run_scenario(base, trial).people.values()
+        self.assertEqual((person.filename, person.speed), ("a.bvh", 1.1))
+        self.assertEqual(person.figure_eight.start, trial.start)
 
 
 class TestExecute(unittest.TestCase):
@@ -147,7 +92,7 @@ class TestExecute(unittest.TestCase):
         again = mut.execute(self.base, make_run())
         self.assertEqual(repr(first.row), repr(again.row))
         self.assertEqual(first.files, again.files)
-        self.assertEqual(first.row["run"], "tof-vo-1")
+        self.assertEqual(first.row["run"], "Mine-1")
         self.assertEqual(first.row["seed"], make_trial(0, 1).seed)
         self.assertAlmostEqual(first.row["simulated_s"], 0.4, delta=0.0081)
         self.assertIn("shortfall_walking_in_p50_m", first.row)
@@ -155,10 +100,11 @@ class TestExecute(unittest.TestCase):
 
     def test_people_and_their_places_do_not_depend_on_the_cell(self):
         places = [
-            np.array(
-                self.read(mut.execute(self.base, make_run(s, c)))["person_x"]
+            np.array(self.read(mut.execute(base, make_run()))["person_x"])
+            for base in (
+                load_scenario(name=name, text="{simulation_duration: 0.4}")
+                for name in ("MotionCapture", "PlanarLidar")
             )
-            for s, c in (("ideal", "vo"), ("lidar", "sm"))
         ]
         np.testing.assert_array_equal(*places)
 
@@ -166,9 +112,11 @@ class TestExecute(unittest.TestCase):
         with tempfile.TemporaryDirectory() as folder:
             path = write_bvh(Path(folder) / "walk.bvh")
             content = Path(path).read_bytes()
-        run = make_run("ideal")
-        outcome = mut.execute(self.base, run, ("walk.bvh", content))
-        again = mut.execute(self.base, run, ("walk.bvh", content))
+        recordings = {"walk.bvh": content}
+        outcome, again = (
+            mut.execute(self.base, make_run(), "walk.bvh", recordings)
+            for _ in range(2)
+        )
         # Not even the temporary file's name is left.
         self.assertEqual(outcome.files, again.files)
 

@@ -162,6 +162,7 @@ def test_read_a_run(tmp_path):
 
 
 def test_all_scenarios_of_examples_load():
-    for file in sorted(Path("examples").glob("*.yaml")):
+    study = Path("examples/my_study.yaml")
+    for file in sorted(set(Path("examples").glob("*.yaml")) - {study}):
         for name in list_scenarios(file):
             load_scenario(filename=file, name=name)

@@ -4,13 +4,10 @@ import numpy as np
 
 from tofssm_drake.metrics.audit import calc_audit
 from tofssm_drake.metrics.run_metrics import calc_run_metrics
-from tofssm_drake.paper.campaign import (
-    Cell,
-    Plan,
-    make_plan,
-    make_row,
-)
+from tofssm_drake.paper.cells import Cell, make_plan
 from tofssm_drake.recording.samples import Samples
+from tofssm_drake.studies.campaign import Plan
+from tofssm_drake.studies.results import make_row
 
 
 def make_small_plan(trials=3, *, variants=(), sensings=None) -> Plan:

@@ -14,29 +14,45 @@ import numpy as np
 from synthetic_campaign import make_rows, make_small_plan, make_values
 from synthetic_run import make_rich_run
 
-from tofssm_drake.paper import campaign_figures
-from tofssm_drake.paper.campaign import (
-    VARIANTS,
-    Cell,
-    PlannedRun,
-    get_run_folder,
-    make_plan,
-    make_results,
+from tofssm_drake.paper import (
+    audit_figure,
+    campaign_figures,
+    cell_style,
+    distance_figure,
+    productivity_figure,
+    radar_figure,
+    response_figures,
+    verdict,
 )
 import tofssm_drake.paper.campaign_report as mut
-from tofssm_drake.paper.claims import (
+from tofssm_drake.paper.cells import (
+    CONFIGURATION_LABEL,
+    VARIANTS,
+    Cell,
+    make_plan,
+)
+from tofssm_drake.paper.claim_rules import (
     NO_VALUE,
     NOT_REPRODUCED,
     NOT_RUN,
     REPRODUCED,
     UNDECIDED,
     Claim,
-    check_claims,
+)
+from tofssm_drake.paper.claims import check_claims
+from tofssm_drake.paper.columns import (
+    AUDIT_METRICS,
+    METRICS,
+    MONITORED_METRICS,
 )
 from tofssm_drake.paper.results import Results
 from tofssm_drake.recording.samples import write_samples
 from tofssm_drake.reports import figures
 from tofssm_drake.reports.page import Picture, write_symbols
+from tofssm_drake.reports.tables import make_cell_table
+from tofssm_drake.studies.campaign import PlannedRun
+from tofssm_drake.studies.campaign_folder import get_run_folder
+from tofssm_drake.studies.results import make_results
 
 _VOID = ("meta", "img", "source", "br")
 
@@ -113,7 +129,7 @@ class TestFigures(unittest.TestCase):
     def test_distance(self):
         cells = [c for c in self.samples if c.configuration == "vo"]
         for narrow in (False, True):
-            figure = campaign_figures.make_distance_figure(
+            figure = distance_figure.make_distance_figure(
                 self.campaign.results,
                 {cell: self.samples[cell] for cell in cells},
                 narrow=narrow,
@@ -125,7 +141,7 @@ class TestFigures(unittest.TestCase):
 
     def test_bars_are_the_means(self):
         results = self.campaign.results
-        figure = campaign_figures.make_distance_figure(results, {})
+        figure = distance_figure.make_distance_figure(results, {})
         heights = sorted(p.get_height() for p in figure.axes[-1].patches)
         expected = sorted(
             results.estimate(cell, metric).mean
@@ -139,7 +155,7 @@ class TestFigures(unittest.TestCase):
             self.assertAlmostEqual(height, mean)
 
     def test_productivity(self):
-        figure = campaign_figures.make_productivity_figure(
+        figure = productivity_figure.make_productivity_figure(
             self.campaign.results
         )
         (ax,) = figure.axes
@@ -156,7 +172,7 @@ class TestFigures(unittest.TestCase):
 
     def test_legend_has_a_row_for_sensings_and_one_for_configurations(self):
         for narrow in (False, True):
-            figure = campaign_figures.make_productivity_figure(
+            figure = productivity_figure.make_productivity_figure(
                 self.campaign.results, narrow=narrow
             )
             figure.draw_without_rendering()
@@ -166,7 +182,7 @@ class TestFigures(unittest.TestCase):
                 if text.get_text().strip():
                     place = box.x0 if narrow else box.y0
                     at[text.get_text()] = round(place)
-            names = list(campaign_figures.CONFIGURATION_NAME.values())
+            names = list(CONFIGURATION_LABEL.values())
             one = {at.pop(name) for name in names}
             self.assertEqual(len(at), 4)
             if narrow:
@@ -179,7 +195,7 @@ class TestFigures(unittest.TestCase):
 
     def test_letters_are_dark_enough(self):
         """Contrast of at least 4.5 on white (WCAG 2.1, AA)."""
-        for colour in campaign_figures.SENSING_TEXT.values():
+        for colour in cell_style.SENSING_TEXT.values():
             c = np.array(to_rgb(colour))
             linear = np.where(
                 c <= 0.03928, c / 12.92, ((c + 0.055) / 1.055) ** 2.4
@@ -195,17 +211,19 @@ class TestFigures(unittest.TestCase):
         )
         samples = {Cell(sensing="tof", configuration="vo"): one}
         results = self.campaign.results
-        for make, _, arguments in mut.list_figures(results, samples).values():
+        for make, _, arguments in campaign_figures.list_figures(
+            results, samples
+        ).values():
             for narrow in (False, True):
                 with warnings.catch_warnings():
                     warnings.simplefilter("error")
                     figures.to_svg(make(*arguments, narrow=narrow))
 
     def test_response(self):
-        wide = campaign_figures.make_response_figure(self.samples)
+        wide = response_figures.make_response_figure(self.samples)
         # Two axes a panel: speed and distance.
         self.assertEqual(len(wide.axes), 18)
-        narrow = campaign_figures.make_response_figure(
+        narrow = response_figures.make_response_figure(
             self.samples, narrow=True
         )
         self.assertEqual(len(narrow.axes), 18)
@@ -214,20 +232,20 @@ class TestFigures(unittest.TestCase):
     def test_phase(self):
         some = dict(list(self.samples.items())[:2])
         for narrow in (False, True):
-            figure = campaign_figures.make_phase_figure(some, narrow=narrow)
+            figure = response_figures.make_phase_figure(some, narrow=narrow)
             text = self.texts(figure)
             self.assertIn("measured distance (m)", text)
             self.assertIn("share of the run", text)
 
     def test_radars(self):
-        figure = campaign_figures.make_radar_figure(self.campaign.results)
+        figure = radar_figure.make_radar_figure(self.campaign.results)
         self.assertEqual(len(figure.axes), 4)
         text = self.texts(figure)
-        for title, _ in campaign_figures.RADARS:
+        for title, _ in radar_figure.RADARS:
             self.assertIn(title, text)
 
     def test_audit(self):
-        figure = campaign_figures.make_audit_figure(self.campaign.results)
+        figure = audit_figure.make_audit_figure(self.campaign.results)
         (ax,) = figure.axes
         worst = [
             float(line.get_xdata()[0])
@@ -239,19 +257,21 @@ class TestFigures(unittest.TestCase):
     def test_a_campaign_without_results(self):
         """Everything failed: there is still something to draw."""
         results = Results([])
-        for make, _, arguments in mut.list_figures(results, {}).values():
+        for make, _, arguments in campaign_figures.list_figures(
+            results, {}
+        ).values():
             self.assertTrue(make(*arguments).axes)
 
     def test_window(self):
         run = self.campaign.run
-        rows = campaign_figures.find_window(run, 4.0)
+        rows = cell_style.find_window(run, 4.0)
         t = run["t"][rows]
         self.assertAlmostEqual(t[-1] - t[0], 4.0, delta=0.02)
         mean = run["true_distance"][rows].mean()
         for start in range(0, 900, 50):
             other = run["true_distance"][start : start + len(t)].mean()
             self.assertLessEqual(mean, other + 0.02)
-        whole = campaign_figures.find_window(run, 100.0)
+        whole = cell_style.find_window(run, 100.0)
         self.assertEqual(len(run["t"][whole]), len(run))
 
 
@@ -261,7 +281,7 @@ class TestReport(unittest.TestCase):
 
     def make(self, **changes):
         results = changes.pop("results", self.campaign.results)
-        names = mut.list_figures(results, {})
+        names = campaign_figures.list_figures(results, {})
         options = {
             "plan": self.campaign.plan,
             "results": results,
@@ -302,7 +322,7 @@ class TestReport(unittest.TestCase):
                 self.assertIn(cell.label, text)
         for trial in self.campaign.plan.trials:
             self.assertIn(str(trial.seed), text)
-        for group in mut.METRICS.values():
+        for group in METRICS.values():
             for metric in group:
                 self.assertIn(metric.label, text)
         self.assertIn("tofssm experiments --out &lt;here&gt;", text)
@@ -351,14 +371,14 @@ class TestReport(unittest.TestCase):
                 NOT_REPRODUCED,
             )
         ]
-        sentences = mut.make_verdict(self.campaign.results, claims, {})
+        sentences = verdict.make_verdict(self.campaign.results, claims, {})
         self.assertIn(
             "Of 4 claims of the paper that this campaign can judge, 1 is "
             "reproduced, 2 are not, and 1 is undecided.",
             sentences[0][1],
         )
         row = self.campaign.rows["tof-vo-1"] | {"contacts_while_moving": 0.0}
-        sentences = mut.make_verdict(Results([row]), claims, {})
+        sentences = verdict.make_verdict(Results([row]), claims, {})
         self.assertIn("touched nobody in 1 run. That", sentences[1][1])
 
     def test_one_contact_is_no_contacts(self):
@@ -473,7 +493,7 @@ class TestTables(unittest.TestCase):
             [(vr, vo)],
             [
                 m
-                for m in mut.METRICS["Productivity"]
+                for m in METRICS["Productivity"]
                 if m.name in ("productivity", "task_time_s")
             ],
         )
@@ -492,9 +512,7 @@ class TestTables(unittest.TestCase):
             row["shortfall_as_reckoned_p50_m"] = 0.1
             row["shortfall_as_reckoned_clear_share"] = 0.84
         cell = Cell(sensing="tof", configuration="vo")
-        table = mut.make_cell_table(
-            campaign.results, [cell], mut.MONITORED_METRICS
-        )
+        table = make_cell_table(campaign.results, [cell], MONITORED_METRICS)
         labels = [label for label, _ in table["head"]]
         for label, expected in (
             ("as monitored: median", "0.10"),
@@ -503,7 +521,7 @@ class TestTables(unittest.TestCase):
             column = labels.index(label)
             texts = [texts[column] for _, texts in table["rows"]]
             self.assertEqual(texts, [expected])
-        labels = {metric.label for metric in mut.AUDIT_METRICS}
+        labels = {metric.label for metric in AUDIT_METRICS}
         self.assertNotIn("as monitored: median", labels)
 
     def test_counts_have_no_interval_below_zero(self):
@@ -513,9 +531,9 @@ class TestTables(unittest.TestCase):
             campaign.rows[f"tof-vr-{trial}"]["contacts_while_moving"] = contacts
             campaign.rows[f"tof-vo-{trial}"]["contacts_while_moving"] = 0.0
         metrics = [
-            m for m in mut.METRICS["Safety"] if m.name.startswith("contacts")
+            m for m in METRICS["Safety"] if m.name.startswith("contacts")
         ]
-        table = mut.make_cell_table(
+        table = make_cell_table(
             campaign.results,
             [cell, Cell(sensing="tof", configuration="vo")],
             metrics,
@@ -536,10 +554,10 @@ class TestTables(unittest.TestCase):
                 "stop_events": 291.0,
                 "state_changes_per_min": 454.0,
             }
-        table = mut.make_cell_table(
+        table = make_cell_table(
             campaign.results,
             [cell],
-            [m for group in mut.METRICS.values() for m in group],
+            [m for group in METRICS.values() for m in group],
         )
         ((_, texts),) = table["rows"]
         texts = dict(zip(table["head"], texts, strict=True))
@@ -551,10 +569,10 @@ class TestTables(unittest.TestCase):
             Claim(key="a", text="a", verdict=verdict, unit="s")
             for verdict in (NO_VALUE, NOT_RUN, REPRODUCED)
         ]
-        rows = [mut.make_claim_row(claim) for claim in claims]
+        rows = [verdict.make_claim_row(claim) for claim in claims]
         self.assertEqual([r["is_run"] for r in rows], [True, False, True])
         self.assertEqual(rows[0]["verdict"], "no value")
-        sentences = mut.make_verdict(_Campaign().results, claims, {})
+        sentences = verdict.make_verdict(_Campaign().results, claims, {})
         self.assertIn("Of 1 claim of", sentences[0][1])
 
     def test_the_worst_of_all_runs(self):
@@ -567,7 +585,7 @@ class TestTables(unittest.TestCase):
                 "latency_over_T_R_s": late,
                 "ur10_stop_over_T_stop_s": math.nan,
             }
-        table = mut.make_cell_table(campaign.results, [cell], mut.AUDIT_METRICS)
+        table = make_cell_table(campaign.results, [cell], AUDIT_METRICS)
         ((_, texts),) = table["rows"]
         by_label = {}
         for (label, _), text in zip(table["head"], texts, strict=True):
@@ -584,30 +602,30 @@ class TestTables(unittest.TestCase):
             row["task_time_s"] = 100.0
         campaign.rows["alone"]["task_time_s"] = 60.0
         cell = Cell(sensing="tof", configuration="vo")
-        table = mut.make_cell_table(
-            campaign.results, [cell], mut.METRICS["Productivity"]
+        table = make_cell_table(
+            campaign.results, [cell], METRICS["Productivity"]
         )
         labels = [label for label, _ in table["head"]]
         ((_, texts),) = table["rows"]
         self.assertEqual(texts[labels.index("productivity, measured")], "60.0")
 
-    def test_which_studies_were_run(self):
-        text = mut.describe_studies(_Campaign(variants=["literal"]).results)
+    def test_which_variants_were_run(self):
+        text = mut.describe_variants(_Campaign(variants=["literal"]).results)
         self.assertTrue(text.startswith("Run: literal (literal law). Not run"))
         for key in ("kmax", "exact", "late", "subtracted", "piecewise"):
             self.assertIn(f"{key} (", text.partition("Not run: ")[2])
-        self.assertIn("--study all adds them", text)
+        self.assertIn("--variant all adds them", text)
         self.assertNotIn("Without a cell", text)
-        text = mut.describe_studies(_Campaign(sensings=["lidar"]).results)
-        self.assertTrue(text.startswith("No study was run. Not run: subtr"))
+        text = mut.describe_variants(_Campaign(sensings=["lidar"]).results)
+        self.assertTrue(text.startswith("No variant was run. Not run: subtr"))
         self.assertIn(
             "Without a cell in this campaign: literal (literal law), kmax",
             text,
         )
         everything = list(VARIANTS)
-        text = mut.describe_studies(_Campaign(variants=everything).results)
+        text = mut.describe_variants(_Campaign(variants=everything).results)
         self.assertNotIn("Not run", text)
-        self.assertNotIn("--study", text)
+        self.assertNotIn("--variant", text)
 
     def test_symbols(self):
         self.assertEqual(
@@ -618,7 +636,7 @@ class TestTables(unittest.TestCase):
         for text in ("state_changes", "shortfall", "t"):
             self.assertEqual(write_symbols(text), text)
 
-    def test_a_study_is_told_by_its_cells(self):
+    def test_a_variant_is_told_by_its_cells(self):
         campaign = _Campaign(variants=["late"])
         pairs = mut.list_pairs(campaign.results)["late"]
         table = mut.make_difference_table(campaign.results, pairs, [])
@@ -629,10 +647,10 @@ class TestTables(unittest.TestCase):
         campaign = _Campaign()
         for row in campaign.rows.values():
             row["task_time_s"] = math.nan
-        table = mut.make_cell_table(
+        table = make_cell_table(
             campaign.results,
             campaign.plan.cells[:1],
-            [m for m in mut.METRICS["Productivity"] if m.name == "task_time_s"],
+            [m for m in METRICS["Productivity"] if m.name == "task_time_s"],
         )
         self.assertEqual(table["rows"][0][1], ["\u2013"])
 

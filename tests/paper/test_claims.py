@@ -4,9 +4,11 @@ import unittest
 
 from synthetic_campaign import make_means, make_rows, make_small_plan
 
-from tofssm_drake.paper.campaign import make_results
+from tofssm_drake.paper import claim_rules
 import tofssm_drake.paper.claims as mut
 from tofssm_drake.paper.results import Results
+from tofssm_drake.paper.sentences import make_cell
+from tofssm_drake.studies.results import make_results
 from tofssm_drake.studies.statistics import Estimate, format_estimate
 
 _SENSINGS = ("tof", "ideal", "lidar")
@@ -192,42 +194,47 @@ CASES = [
 class TestRules(unittest.TestCase):
     def test_positive(self):
         for mean, half, count, expected in (
-            (0.3, 0.2, 5, mut.REPRODUCED),
-            (-0.3, 0.2, 5, mut.NOT_REPRODUCED),
-            (0.1, 0.2, 5, mut.UNDECIDED),
-            (-0.1, 0.2, 5, mut.UNDECIDED),
-            (0.3, float("nan"), 1, mut.UNDECIDED),
-            (float("nan"), float("nan"), 0, mut.NOT_RUN),
+            (0.3, 0.2, 5, claim_rules.REPRODUCED),
+            (-0.3, 0.2, 5, claim_rules.NOT_REPRODUCED),
+            (0.1, 0.2, 5, claim_rules.UNDECIDED),
+            (-0.1, 0.2, 5, claim_rules.UNDECIDED),
+            (0.3, float("nan"), 1, claim_rules.UNDECIDED),
+            (float("nan"), float("nan"), 0, claim_rules.NOT_RUN),
         ):
             value = Estimate(mean=mean, half_width=half, count=count)
-            self.assertEqual(mut.judge_positive(value), expected)
+            self.assertEqual(claim_rules.judge_positive(value), expected)
 
     def test_about(self):
         for mean, half, expected in (
-            (0.5, 0.05, mut.REPRODUCED),
-            (0.59, 0.005, mut.REPRODUCED),
-            (0.59, 0.05, mut.UNDECIDED),
-            (0.7, 0.05, mut.NOT_REPRODUCED),
-            (0.3, 0.05, mut.NOT_REPRODUCED),
-            (0.5, 0.4, mut.UNDECIDED),
+            (0.5, 0.05, claim_rules.REPRODUCED),
+            (0.59, 0.005, claim_rules.REPRODUCED),
+            (0.59, 0.05, claim_rules.UNDECIDED),
+            (0.7, 0.05, claim_rules.NOT_REPRODUCED),
+            (0.3, 0.05, claim_rules.NOT_REPRODUCED),
+            (0.5, 0.4, claim_rules.UNDECIDED),
         ):
             value = Estimate(mean=mean, half_width=half, count=5)
-            self.assertEqual(mut.judge_about(value, 0.5), expected, mean)
+            self.assertEqual(
+                claim_rules.judge_about(value, 0.5), expected, mean
+            )
 
     def test_parts(self):
         yes, no, open_, missing = (
-            mut.REPRODUCED,
-            mut.NOT_REPRODUCED,
-            mut.UNDECIDED,
-            mut.NOT_RUN,
+            claim_rules.REPRODUCED,
+            claim_rules.NOT_REPRODUCED,
+            claim_rules.UNDECIDED,
+            claim_rules.NOT_RUN,
         )
-        self.assertEqual(mut.combine([yes, yes]), yes)
-        self.assertEqual(mut.combine([yes, open_]), open_)
-        self.assertEqual(mut.combine([open_, no, yes]), no)
-        self.assertEqual(mut.combine([no, missing]), missing)
-        self.assertEqual(mut.combine([yes, mut.NO_VALUE]), mut.NO_VALUE)
-        self.assertEqual(mut.combine([no, mut.NO_VALUE]), no)
-        self.assertEqual(mut.combine([]), missing)
+        self.assertEqual(claim_rules.combine([yes, yes]), yes)
+        self.assertEqual(claim_rules.combine([yes, open_]), open_)
+        self.assertEqual(claim_rules.combine([open_, no, yes]), no)
+        self.assertEqual(claim_rules.combine([no, missing]), missing)
+        self.assertEqual(
+            claim_rules.combine([yes, claim_rules.NO_VALUE]),
+            claim_rules.NO_VALUE,
+        )
+        self.assertEqual(claim_rules.combine([no, claim_rules.NO_VALUE]), no)
+        self.assertEqual(claim_rules.combine([]), missing)
 
     def test_format(self):
         value = Estimate(mean=-0.1234, half_width=0.05, count=3)
@@ -249,22 +256,22 @@ class TestClaims(unittest.TestCase):
                 continue
             with self.subTest(claim.__name__):
                 found = claim(make_results_of(metric, means))
-                self.assertEqual(found.verdict, mut.REPRODUCED)
+                self.assertEqual(found.verdict, claim_rules.REPRODUCED)
                 for evidence in found.evidence:
-                    self.assertEqual(evidence.verdict, mut.REPRODUCED)
+                    self.assertEqual(evidence.verdict, claim_rules.REPRODUCED)
 
     def test_contradicted(self):
         for claim, metric, _, means in CASES:
             with self.subTest(claim.__name__):
                 found = claim(make_results_of(metric, means))
-                self.assertEqual(found.verdict, mut.NOT_REPRODUCED)
+                self.assertEqual(found.verdict, claim_rules.NOT_REPRODUCED)
 
     def test_too_little_to_decide(self):
         """One trial has no interval; equal cells do not differ."""
         for claim, metric, means, _ in CASES[1:]:
             with self.subTest(claim.__name__):
                 found = claim(make_results_of(metric, means, trials=1))
-                self.assertEqual(found.verdict, mut.UNDECIDED)
+                self.assertEqual(found.verdict, claim_rules.UNDECIDED)
 
     def test_cells_are_missing(self):
         for claim, metric, _, means in CASES:
@@ -272,7 +279,7 @@ class TestClaims(unittest.TestCase):
                 found = claim(
                     make_results_of(metric, means, sensings=["lidar"])
                 )
-                self.assertEqual(found.verdict, mut.NOT_RUN)
+                self.assertEqual(found.verdict, claim_rules.NOT_RUN)
 
     def test_rmse_takes_the_papers_figures(self):
         means = {("ideal", "vo"): 0.009, ("tof", "vo"): 0.063}
@@ -320,9 +327,9 @@ class TestClaims(unittest.TestCase):
             return found.verdict
 
         best, worst = (0.1, 0.2, 0.3), (0.3, 0.2, 0.1)
-        self.assertEqual(verdict(best, best), mut.REPRODUCED)
-        self.assertEqual(verdict(best, worst), mut.NOT_REPRODUCED)
-        self.assertEqual(verdict(worst, best), mut.NOT_REPRODUCED)
+        self.assertEqual(verdict(best, best), claim_rules.REPRODUCED)
+        self.assertEqual(verdict(best, worst), claim_rules.NOT_REPRODUCED)
+        self.assertEqual(verdict(worst, best), claim_rules.NOT_REPRODUCED)
 
     def test_equal_values_decide_nothing(self):
         """Counts are often equal in a few trials; that is no certainty."""
@@ -336,7 +343,7 @@ class TestClaims(unittest.TestCase):
         )
         found = mut.claim_vo_smoother(Results(make_results(plan, rows)))
         self.assertEqual(found.evidence[0].estimate.mean, 1.0)
-        self.assertEqual(found.verdict, mut.UNDECIDED)
+        self.assertEqual(found.verdict, claim_rules.UNDECIDED)
 
     def test_why(self):
         """Told where a claim does not hold, with the studies that were run."""
@@ -378,7 +385,7 @@ class TestClaims(unittest.TestCase):
             [SAFETY, "contacts_while_moving"], by_configuration(5.0, 4.0, 9.0)
         )
         found = mut.claim_vo_safer_than_vr(results)
-        self.assertEqual(found.verdict, mut.REPRODUCED)
+        self.assertEqual(found.verdict, claim_rules.REPRODUCED)
         self.assertIn("Contacts while moving: Real Vo", found.note)
         self.assertNotIn("SM", found.note)
 
@@ -387,22 +394,22 @@ class TestClaims(unittest.TestCase):
         results = make_results_of(
             "time_to_stop_s", by_configuration(0.1, 0.2, 0.3)
         )
-        for row in results._rows[mut.make_cell("ideal", "sm")].values():
+        for row in results._rows[make_cell("ideal", "sm")].values():
             row["time_to_stop_s"] = float("nan")
         found = mut.claim_time_to_stop(results)
-        self.assertEqual(found.verdict, mut.NO_VALUE)
+        self.assertEqual(found.verdict, claim_rules.NO_VALUE)
         self.assertEqual(
-            [e.verdict for e in found.evidence].count(mut.NO_VALUE), 2
+            [e.verdict for e in found.evidence].count(claim_rules.NO_VALUE), 2
         )
         found = mut.claim_vo_best_times(results)
         self.assertIn(
-            mut.NO_VALUE,
+            claim_rules.NO_VALUE,
             [e.verdict for e in found.evidence if "to stop" in e.what],
         )
         found = mut.claim_reaction_anticipates(results)
-        self.assertEqual(found.verdict, mut.NO_VALUE)
+        self.assertEqual(found.verdict, claim_rules.NO_VALUE)
         found = mut.claim_rmse(results)
-        self.assertEqual(found.verdict, mut.NO_VALUE)
+        self.assertEqual(found.verdict, claim_rules.NO_VALUE)
 
     def test_safety_looks_at_the_pair_that_decides(self):
         """Vr over SM is against the claim; Vo stands longest of all."""

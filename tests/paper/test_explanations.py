@@ -2,9 +2,16 @@ import unittest
 
 from synthetic_campaign import make_rows, make_small_plan
 
-from tofssm_drake.paper.campaign import Cell, make_results
-import tofssm_drake.paper.explanations as mut
+from tofssm_drake.paper import (
+    explain_distances,
+    explain_stops,
+    explain_variants,
+    explain_work,
+    sentences,
+)
+from tofssm_drake.paper.cells import Cell
 from tofssm_drake.paper.results import Results
+from tofssm_drake.studies.results import make_results
 
 
 def make_results_of(values, *, variants=()):
@@ -12,7 +19,7 @@ def make_results_of(values, *, variants=()):
 
     Args:
         values: By metric: by cell (sensing, configuration), or one of all.
-        variants: Studies that are run as well.
+        variants: Variants that are run as well.
     """
     plan = make_small_plan(3, variants=variants)
 
@@ -27,19 +34,23 @@ def make_results_of(values, *, variants=()):
     return Results(make_results(plan, rows))
 
 
-REAL, IDEAL, LIDAR = (mut.make_cell(s, "vo") for s in mut.SENSINGS)
+REAL, IDEAL, LIDAR = (
+    sentences.make_cell(s, "vo") for s in sentences.PAPER_SENSINGS
+)
 
 
 class TestEveryExplanation(unittest.TestCase):
     """What they conclude turns over with the numbers."""
 
     def test_errors_of_geometry_or_of_the_sensing(self):
-        surface = dict.fromkeys([(s, "vo") for s in mut.SENSINGS], 0.2)
+        surface = dict.fromkeys(
+            [(s, "vo") for s in sentences.PAPER_SENSINGS], 0.2
+        )
         link = {("tof", "vo"): 0.05, ("ideal", "vo"): 0.0, ("lidar", "vo"): 0.3}
         results = make_results_of(
             {"distance_rmse_surface_m": surface, "distance_rmse_link_m": link}
         )
-        text = mut.explain_errors(results)
+        text = explain_distances.explain_errors(results)
         self.assertIn("Real Vo 50, Ideal Vo 0, Lidar Vo 300", text)
         self.assertIn("whole surface: Real Vo, Ideal Vo.", text)
         self.assertIn("how exactly: Lidar Vo.", text)
@@ -50,14 +61,14 @@ class TestEveryExplanation(unittest.TestCase):
             {"distance_rmse_surface_m": 0.2, "distance_rmse_link_m": 0.2},
             variants=["exact"],
         )
-        text = mut.explain_errors(results)
+        text = explain_distances.explain_errors(results)
         self.assertNotIn("whole surface", text)
         self.assertIn("Without noise", text)
 
     def test_times(self):
         results = make_results_of({"stopped_s": 12.34, "reduced_s": 5.0})
         self.assertEqual(
-            mut.explain_times(results, [REAL]),
+            explain_work.explain_times(results, [REAL]),
             "Time stopped per run (s): Real Vo 12.3. "
             "At half speed (s): Real Vo 5.0.",
         )
@@ -82,13 +93,13 @@ class TestEveryExplanation(unittest.TestCase):
             ),
         ):
             results = make_results_of({"s": safety, "stopped_share": share})
-            text = mut.explain_standing(
+            text = explain_work.explain_standing(
                 results, [REAL, IDEAL, LIDAR], "s", [(REAL, IDEAL)]
             )
             self.assertIn(expected, text)
             self.assertNotIn(unexpected, text)
             self.assertIn("Real Vo 20.0, Ideal Vo 30.0, Lidar Vo 90.0", text)
-        both = mut.explain_standing(
+        both = explain_work.explain_standing(
             results, [REAL, IDEAL, LIDAR], "s", [(REAL, IDEAL), (IDEAL, LIDAR)]
         )
         self.assertIn(
@@ -96,7 +107,10 @@ class TestEveryExplanation(unittest.TestCase):
         )
         self.assertIn("which contradicts that: Real Vo over Ideal", both)
         self.assertEqual(
-            mut.explain_standing(results, [LIDAR], "s", [(REAL, IDEAL)]), ""
+            explain_work.explain_standing(
+                results, [LIDAR], "s", [(REAL, IDEAL)]
+            ),
+            "",
         )
 
     def test_contacts_are_counted(self):
@@ -109,12 +123,12 @@ class TestEveryExplanation(unittest.TestCase):
             }
         )
         self.assertEqual(
-            mut.count_contacts(results, [REAL, IDEAL, LIDAR]),
+            explain_work.count_contacts(results, [REAL, IDEAL, LIDAR]),
             "Contacts while moving: Real Vo 6 in 3 of 3 runs. "
             "Without one: Ideal Vo.",
         )
         self.assertEqual(
-            mut.count_contacts(results, [IDEAL]),
+            explain_work.count_contacts(results, [IDEAL]),
             "Without a contact while moving: Ideal Vo.",
         )
 
@@ -126,7 +140,7 @@ class TestEveryExplanation(unittest.TestCase):
                 "false_events": 2.0,
             }
         )
-        text = mut.explain_seeing(results, [REAL, IDEAL])
+        text = explain_distances.explain_seeing(results, [REAL, IDEAL])
         self.assertIn("(%): Real Vo 50.0, Ideal Vo 50.0.", text)
         self.assertIn("without a stop, per run: Real Vo 0.4.", text)
         self.assertIn("Real Vo 2.0, Ideal Vo 2.0.", text)
@@ -140,7 +154,7 @@ class TestEveryExplanation(unittest.TestCase):
             results = make_results_of(
                 {"reaction_time_s": times, "separation_at_stop_m": separation}
             )
-            text = mut.explain_earliest(results, [REAL, LIDAR])
+            text = explain_stops.explain_earliest(results, [REAL, LIDAR])
             self.assertIn("Lidar Vo reacts first", text)
             self.assertIn(expected, text)
 
@@ -151,7 +165,7 @@ class TestEveryExplanation(unittest.TestCase):
                 "d_C_at_stop_m": 0.5,
             }
         )
-        text = mut.explain_late(results, mut.make_cells())
+        text = explain_stops.explain_late(results, sentences.make_cells())
         self.assertIn("Late on average: Real Vo.", text)
         self.assertIn("Real Vo 0.50", text)
 
@@ -165,7 +179,7 @@ class TestEveryExplanation(unittest.TestCase):
             },
             variants=["late"],
         )
-        text = mut.explain_real_against_ideal(results)
+        text = explain_stops.explain_real_against_ideal(results)
         self.assertIn("earlier than Ideal: Real Vo by 0.20 s.", text)
         self.assertIn("Later: Real SM by 0.20 s.", text)
         self.assertIn("Real is: Vo +0.20 s, SM", text)
@@ -193,7 +207,7 @@ class TestEveryExplanation(unittest.TestCase):
                         f"time_to_{kind}_alike_s": alike,
                     }
                 )
-                text = mut.explain_ramps(results, kind)
+                text = explain_stops.explain_ramps(results, kind)
                 self.assertIn(f"Real Vo {alike['tof', 'vo']:.3f}", text)
                 self.assertIn(expected, text)
                 self.assertNotIn(unexpected, text)
@@ -205,11 +219,11 @@ class TestEveryExplanation(unittest.TestCase):
                 "stop_events": 291.0,
             }
         )
-        text = mut.count_timed(results, "stop")
+        text = explain_stops.count_timed(results, "stop")
         self.assertTrue(text.endswith("per run: Real Vo 55 of 291."), text)
-        self.assertEqual(mut.count_timed(results, "reduce"), "")
+        self.assertEqual(explain_stops.count_timed(results, "reduce"), "")
 
-    def make_studied(self, change, trials=3, variants=("literal", "late")):
+    def make_varied(self, change, trials=3, variants=("literal", "late")):
         plan = make_small_plan(trials, variants=list(variants))
         rows = make_rows(
             plan,
@@ -220,7 +234,7 @@ class TestEveryExplanation(unittest.TestCase):
         )
         return Results(make_results(plan, rows))
 
-    def test_studies_of_a_number(self):
+    def test_variants_of_a_number(self):
         """Only of the claim's cells; what is not decided is not absent."""
 
         def change(cell, trial):
@@ -229,9 +243,9 @@ class TestEveryExplanation(unittest.TestCase):
             sure = cell.configuration == "vo"
             return 0.5 + 0.0005 * (trial % 2) if sure else 0.1 * (trial - 2)
 
-        results = self.make_studied(change)
-        cells = mut.make_cells(("tof",))
-        text = mut.explain_studies(
+        results = self.make_varied(change)
+        cells = sentences.make_cells(("tof",))
+        text = explain_variants.explain_variants(
             results, "productivity", cells, digits=1, scale=100
         )
         self.assertIn("3 comparisons, without correction", text)
@@ -240,50 +254,55 @@ class TestEveryExplanation(unittest.TestCase):
         self.assertIn("Real Vr (literal law) +0.0 \u00b1 24.8", text)
         for unexpected in ("late", "the cause", "matters"):
             self.assertNotIn(unexpected, text)
-        text = mut.explain_studies(results, "productivity", cells[1:2])
+        text = explain_variants.explain_variants(
+            results, "productivity", cells[1:2]
+        )
         self.assertIn("One comparison).", text)
         self.assertIn("No change is decided by these trials", text)
         self.assertEqual(
-            mut.explain_studies(results, "productivity", [LIDAR]), ""
+            explain_variants.explain_variants(results, "productivity", [LIDAR]),
+            "",
         )
         self.assertEqual(
-            mut.explain_studies(
+            explain_variants.explain_variants(
                 make_results_of({"productivity": 0.5}), "productivity", cells
             ),
             "",
         )
 
-    def test_studies_of_a_difference(self):
+    def test_variants_of_a_difference(self):
         """What changes both cells alike does not change their difference."""
-        vr = mut.make_cell("tof", "vr")
+        vr = sentences.make_cell("tof", "vr")
 
         def change(cell, trial):
             return 0.5 + 0.001 * trial if cell.variant == "literal" else 0.0
 
-        results = self.make_studied(change)
-        text = mut.explain_studies(
+        results = self.make_varied(change)
+        text = explain_variants.explain_variants(
             results, "productivity", [REAL, vr], [(REAL, vr)]
         )
         self.assertIn("Real Vo \u2212 Real Vr (literal law) +0.00", text)
         self.assertNotIn("Decided", text)
         # Where one of them is studied its own change is told, and once.
-        text = mut.explain_studies(
+        text = explain_variants.explain_variants(
             results,
             "productivity",
             [REAL, IDEAL, LIDAR],
-            [(REAL, LIDAR), (REAL, mut.make_cell("lidar", "vr"))],
+            [(REAL, LIDAR), (REAL, sentences.make_cell("lidar", "vr"))],
         )
         self.assertIn("One comparison).", text)
         self.assertIn("Decided: Real Vo (literal law) +0.50", text)
 
     def test_only_some_of_many_are_told(self):
-        results = self.make_studied(lambda cell, trial: 0.0)
-        text = mut.explain_studies(results, "productivity", mut.make_cells())
+        results = self.make_varied(lambda cell, trial: 0.0)
+        text = explain_variants.explain_variants(
+            results, "productivity", sentences.make_cells()
+        )
         self.assertIn("The 4 largest:", text)
         self.assertEqual(text.count("+0.00"), 4)
 
     def test_what_costs_productivity(self):
-        vr = mut.make_cell("tof", "vr")
+        vr = sentences.make_cell("tof", "vr")
         share = {("tof", "vo"): 0.5, ("tof", "vr"): 0.7}
         stops = {("tof", "vo"): 20.0, ("tof", "vr"): 5.0}
         slow = {("tof", "vo"): 20.0, ("tof", "vr"): 30.0}
@@ -314,10 +333,12 @@ class TestEveryExplanation(unittest.TestCase):
                     "reduced_s": reduced,
                 }
             )
-            text = mut.explain_times(results, [REAL, vr])
+            text = explain_work.explain_times(results, [REAL, vr])
             self.assertTrue(text.endswith(expected), text)
             # Cells that are not compared with each other are not concluded on.
-            text = mut.explain_times(results, [REAL, vr], by="configuration")
+            text = explain_work.explain_times(
+                results, [REAL, vr], by="configuration"
+            )
             self.assertNotIn("So ", text)
 
     def test_what_makes_the_velocity_change_large(self):
@@ -342,7 +363,7 @@ class TestEveryExplanation(unittest.TestCase):
                     "stop_events": 4.0,
                 }
             )
-            text = mut.explain_speeds(results)
+            text = explain_stops.explain_speeds(results)
             self.assertTrue(text.endswith(expected), text)
 
     def test_chatter_per_minute(self):
@@ -358,9 +379,11 @@ class TestEveryExplanation(unittest.TestCase):
                     "false_events": episode,
                 }
             )
-            text = mut.explain_chatter(results)
+            text = explain_work.explain_chatter(results)
             first, second = sorted(minute, key=minute.get, reverse=True)
-            order = " > ".join(mut.make_cell(*k).label for k in (first, second))
+            order = " > ".join(
+                sentences.make_cell(*k).label for k in (first, second)
+            )
             self.assertIn(f"{expected}: {order}.", text)
             self.assertNotIn("no approach", text)
 
@@ -368,7 +391,7 @@ class TestEveryExplanation(unittest.TestCase):
         results = make_results_of(
             {"slow_episodes": {("tof", "vo"): 20.0, ("lidar", "vo"): 1.0}}
         )
-        text = mut.list_long_episodes(results)
+        text = explain_work.list_long_episodes(results)
         self.assertTrue(text.endswith("how long the run was: Lidar Vo."), text)
 
     def test_who_asks_for_another_separation(self):
@@ -387,7 +410,7 @@ class TestEveryExplanation(unittest.TestCase):
             (0.52, 0.9, "only their intervals", "itself"),
         ):
             results = make_results_of({"kept": separation, "asked": asked})
-            text = mut.conclude_separation(
+            text = explain_distances.conclude_separation(
                 results, "kept", "asked", cells, 0.5, 0.2
             )
             self.assertIn(expected, text)
@@ -405,7 +428,7 @@ class TestEveryExplanation(unittest.TestCase):
                 ("lidar", "vo"): lidar,
             }
             results = make_results_of({"d_C_at_stop_m": asked})
-            self.assertIn(expected, mut.conclude_lidar(results))
+            self.assertIn(expected, explain_distances.conclude_lidar(results))
 
     def test_lists(self):
         results = make_results_of(
@@ -416,10 +439,10 @@ class TestEveryExplanation(unittest.TestCase):
                 "d_C_at_stop_m": 0.98,
             }
         )
-        text = mut.explain_speeds(results)
+        text = explain_stops.explain_speeds(results)
         for part in ("Real Vo 0.50", "Real Vo 3.0", "Real Vo 2.0"):
             self.assertIn(part, text)
-        text = mut.explain_law_distances(
+        text = explain_distances.explain_law_distances(
             results, "d_C at the stops", "d_C_at_stop_m", [REAL]
         )
         self.assertIn("d_C at the stops", text)
@@ -427,28 +450,32 @@ class TestEveryExplanation(unittest.TestCase):
 
     def test_nothing_is_said_of_what_was_not_run(self):
         nothing = Results([])
-        cells = mut.make_cells()
+        cells = sentences.make_cells()
         for text in (
-            mut.explain_errors(nothing),
-            mut.explain_times(nothing, cells),
-            mut.explain_standing(nothing, cells, "s", [(REAL, IDEAL)]),
-            mut.explain_seeing(nothing, cells),
-            mut.explain_earliest(nothing, cells),
-            mut.explain_late(nothing, cells),
-            mut.explain_ramps(nothing, "stop"),
-            mut.count_timed(nothing, "reduce"),
-            mut.count_contacts(nothing, cells),
-            mut.list_long_episodes(nothing),
-            mut.explain_studies(nothing, "s", cells),
-            mut.explain_studies(nothing, "s", cells, [(REAL, IDEAL)]),
-            mut.explain_speeds(nothing),
-            mut.explain_law_distances(nothing, "d", "d", cells),
-            mut.explain_chatter(nothing),
-            mut.conclude_separation(nothing, "d", "d", cells, 0.5, 0.2),
-            mut.conclude_lidar(nothing),
+            explain_distances.explain_errors(nothing),
+            explain_work.explain_times(nothing, cells),
+            explain_work.explain_standing(nothing, cells, "s", [(REAL, IDEAL)]),
+            explain_distances.explain_seeing(nothing, cells),
+            explain_stops.explain_earliest(nothing, cells),
+            explain_stops.explain_late(nothing, cells),
+            explain_stops.explain_ramps(nothing, "stop"),
+            explain_stops.count_timed(nothing, "reduce"),
+            explain_work.count_contacts(nothing, cells),
+            explain_work.list_long_episodes(nothing),
+            explain_variants.explain_variants(nothing, "s", cells),
+            explain_variants.explain_variants(
+                nothing, "s", cells, [(REAL, IDEAL)]
+            ),
+            explain_stops.explain_speeds(nothing),
+            explain_distances.explain_law_distances(nothing, "d", "d", cells),
+            explain_work.explain_chatter(nothing),
+            explain_distances.conclude_separation(
+                nothing, "d", "d", cells, 0.5, 0.2
+            ),
+            explain_distances.conclude_lidar(nothing),
         ):
             self.assertEqual(text, "")
-        self.assertNotIn(":", mut.explain_real_against_ideal(nothing))
+        self.assertNotIn(":", explain_stops.explain_real_against_ideal(nothing))
         self.assertEqual(REAL, Cell(sensing="tof", configuration="vo"))
 
 

@@ -10,17 +10,19 @@ import sys
 import time
 
 from bvh_writer import write_bvh
-from distributed import Client, LocalCluster
+from cluster_in_process import connect_in_process
+from distributed import Client
 import pyarrow.parquet as pq
 import pytest
 
 from tofssm_drake.diagrams import campaign_run
 from tofssm_drake.diagrams.scenario import load_scenario
-from tofssm_drake.paper import campaign_report
-from tofssm_drake.paper.campaign import list_studies, make_plan
+from tofssm_drake.paper import campaign_figures, campaign_report
+from tofssm_drake.paper.cells import list_variants, make_plan
 from tofssm_drake.recording.samples import read_samples
-import tofssm_drake.scripts.experiments as mut
+import tofssm_drake.scripts.campaign as mut
 import tofssm_drake.scripts.main as main
+import tofssm_drake.scripts.paper_experiment as paper_experiment
 
 # Two cells, one person, and the run without anybody.
 SMALL = (
@@ -30,20 +32,6 @@ SMALL = (
 )
 KEYS = ["alone", "ideal-vo-1", "lidar-vo-1"]
 COMMAND = (sys.executable, "-m", "tofssm_drake.scripts.main", "experiments")
-
-
-@contextlib.contextmanager
-def connect_in_process(scheduler=None, *, workers=None, scratch=None):
-    with (
-        LocalCluster(
-            n_workers=1,
-            threads_per_worker=1,
-            processes=False,
-            dashboard_address="127.0.0.1:0",
-        ) as cluster,
-        Client(cluster) as client,
-    ):
-        yield client
 
 
 def write_no_report(folder, *, failures, **options):
@@ -58,7 +46,9 @@ def run_in_process(*arguments, report=False):
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(mut, "connect", connect_in_process)
         if not report:
-            patch.setattr(mut, "write_campaign_report", write_no_report)
+            patch.setattr(
+                paper_experiment, "write_campaign_report", write_no_report
+            )
         return main.run(["experiments", *map(str, arguments)])
 
 
@@ -215,10 +205,10 @@ class TestGoingOn:
         out = tmp_path / "out"
         execute = campaign_run.execute
 
-        def fail(base, run, motion=None):
+        def fail(base, run, *arguments):
             if run.key == "lidar-vo-1":
                 raise RuntimeError("the plant\nblew up")
-            return execute(base, run, motion)
+            return execute(base, run, *arguments)
 
         monkeypatch.setattr(mut, "execute", fail)
         assert run_in_process(*SMALL, "--out", out) == 1
@@ -253,7 +243,7 @@ class TestGoingOn:
 
         # The figures are drawn by then.
         monkeypatch.setattr(campaign_report, "render_page", terminate)
-        monkeypatch.setattr(campaign_report, "list_figures", lambda *_: {})
+        monkeypatch.setattr(campaign_figures, "list_figures", lambda *_: {})
         assert run_in_process(*SMALL, "--out", out, report=True) == 130
         assert (
             "run the same command again to continue" in capfd.readouterr().err
@@ -306,7 +296,9 @@ def start(module, *arguments):
 class TestScheduler:
     def test_two_workers_started_by_hand(self, whole, tmp_path, monkeypatch):
         """The same tables as in one process, to the last bit."""
-        monkeypatch.setattr(mut, "write_campaign_report", write_no_report)
+        monkeypatch.setattr(
+            paper_experiment, "write_campaign_report", write_no_report
+        )
         contact = tmp_path / "scheduler.json"
         out = tmp_path / "out"
         worker = ("--scheduler-file", contact, "--nthreads", "1", "--no-nanny")
@@ -343,20 +335,29 @@ class TestScheduler:
 NO_RINGS = ("--sensing", "lidar")
 BAD_INPUT = {
     "no_folder": (("--out", ""), "must not be empty"),
-    "study_twice": (("--study", "all", "--study", "all"), "names one of them"),
-    "none_and_more": (("--study", "none", "--study", "late"), "none excludes"),
+    "variant_twice": (
+        ("--variant", "all", "--variant", "all"),
+        "names one of them",
+    ),
+    "none_and_more": (
+        ("--variant", "none", "--variant", "late"),
+        "none excludes",
+    ),
     "no_cell": (
-        (*NO_RINGS, "--study", "exact"),
-        "--study: exact needs one of the sensings tof with one of the config",
+        (*NO_RINGS, "--variant", "exact"),
+        "--variant: exact needs one of the sensings tof with one of the config",
     ),
     "no_cell_of_all": (
-        (*NO_RINGS, "--study", "all", "--study", "late"),
-        "--study: late needs one of the sensings ideal",
+        (*NO_RINGS, "--variant", "all", "--variant", "late"),
+        "--variant: late needs one of the sensings ideal",
     ),
     "sensing": (("--sensing", "radar"), "--sensing: 'radar' is unknown"),
     "twice": (("--ssm", "vo", "--ssm", "vo"), "--ssm: vo, vo names one"),
     "ssm": (("--ssm", "vx"), "--ssm: 'vx' is unknown, use one of vo, vr, sm"),
-    "study": (("--study", "odd"), "--study: 'odd' is unknown, use one of lit"),
+    "variant": (
+        ("--variant", "odd"),
+        "--variant: 'odd' is unknown, use one of lit",
+    ),
     "trials": (("--trials", "0"), "--trials: 0 must be from 1 to 1000"),
     "seed": (("--seed", "-3"), "--seed: -3 must be from 0"),
     "workers": (("--workers", "0"), "--workers: 0 must be from 1"),
@@ -367,7 +368,10 @@ BAD_INPUT = {
         ("--scenario-text", "{people: {visitor: null}}"),
         "people: is decid",
     ),
-    "all": (("--study", "all", "--study", "foo"), "--study: 'foo' is unknown"),
+    "all": (
+        ("--variant", "all", "--variant", "foo"),
+        "--variant: 'foo' is unknown",
+    ),
     "figure": (
         (
             "--scenario-text",
@@ -467,38 +471,47 @@ class TestBadInput:
         assert f"{tmp_path / name} is a folder" in line
 
 
-class TestStudies:
-    def test_the_literal_law_is_studied_unless_told_otherwise(self):
-        possible = list_studies(["tof", "lidar"], ["vo"])
+class TestVariants:
+    def test_the_literal_law_is_run_unless_told_otherwise(self):
+        possible = list_variants(["tof", "lidar"], ["vo"])
         assert possible == ["literal", "exact", "subtracted", "piecewise"]
-        assert mut.choose_studies(None, possible) == ["literal"]
-        assert mut.choose_studies(None, ["late"]) == []
-        assert mut.choose_studies(["none"], possible) == []
-        assert mut.choose_studies(["all"], possible) == possible
-        assert mut.choose_studies(["exact"], possible) == ["exact"]
+        assert paper_experiment.choose_variants(None, possible) == ["literal"]
+        assert paper_experiment.choose_variants(None, ["late"]) == []
+        assert paper_experiment.choose_variants(["none"], possible) == []
+        assert paper_experiment.choose_variants(["all"], possible) == possible
+        assert paper_experiment.choose_variants(["exact"], possible) == [
+            "exact"
+        ]
 
-    def test_the_command_tells_the_studies(self):
+    def test_the_command_tells_the_variants(self):
         for asked, studies, told in (
-            (None, ["literal"], " --study literal"),
-            (None, [], " --study none"),
+            (None, ["literal"], " --variant literal"),
+            (None, [], " --variant none"),
             (["all"], ["late", "exact"], ""),
         ):
-            command = mut.make_command(["experiments"], asked, studies)
+            command = paper_experiment.make_command(
+                ["experiments"], asked, studies
+            )
             assert command == "tofssm experiments" + told
 
-    def test_they_are_in_the_default_plan(self, tmp_path, monkeypatch):
-        seen = []
-        monkeypatch.setattr(
-            mut, "enter_folder", lambda folder, plan: seen.append(plan) or 1 / 0
-        )
-        for arguments, keys in (
-            ((), ["tof-vo-literal", "tof-vr-literal", "tof-sm-literal"]),
-            (("--study", "none"), []),
+    def test_they_are_in_the_default_plan(self, tmp_path):
+        for variants, keys in (
+            (None, ["tof-vo-literal", "tof-vr-literal", "tof-sm-literal"]),
+            (["none"], []),
         ):
-            with pytest.raises(ZeroDivisionError):
-                mut.experiments(study=list(arguments[1:]) or None, out=tmp_path)
-            found = [c.key for c in seen.pop().cells if c.variant]
-            assert found == keys
+            campaign = paper_experiment.make_paper_campaign(
+                out=tmp_path,
+                trials=1,
+                seed=0,
+                duration=900.0,
+                sensings=None,
+                configurations=None,
+                variants=variants,
+                human_motions=None,
+                scenario_text="",
+            )
+            cells = campaign.plan.cells
+            assert [c.key for c in cells if c.variant] == keys
 
 
 class TestParameters:
@@ -511,7 +524,7 @@ class TestParameters:
             variants=[],
             scenario={},
         )
-        rows = dict(mut.list_parameters(load_scenario(), plan))
+        rows = dict(paper_experiment.list_parameters(load_scenario(), plan))
         (V_hmax,) = [v for name, v in rows.items() if "V_hmax" in name]
         assert V_hmax["tof"] == "1.6 m/s"
         (r_o,) = [v for name, v in rows.items() if name.startswith("r_o")]

@@ -1,0 +1,246 @@
+"""The files in the folder of a campaign.
+
+- `campaign.json`: the plan. A folder takes one plan only.
+- `runs/<cell>-<trial>/`: `samples.parquet`, `scans.parquet` and, written
+  last, `row.parquet`: the metrics of the samples in one row. A run that has
+  one is finished and never repeated.
+- `results.parquet`: all rows, in the order of the plan, with the numbers that
+  need several runs.
+"""
+
+import io
+import json
+import os
+from pathlib import Path
+import shutil
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from tofssm_drake.errors import UserError, require
+from tofssm_drake.recording.columns import add_descriptions
+from tofssm_drake.recording.samples import PARTS, write_atomically
+from tofssm_drake.studies.campaign import Plan, PlannedRun, describe_plan
+from tofssm_drake.studies.results import COLUMNS, make_row
+
+_PLAN_FILE = "campaign.json"
+_SCRATCH = ".scratch"
+
+
+def find_difference(old, new, where: str = "") -> str | None:
+    """Describes where two plain values first differ; None: nowhere."""
+    if isinstance(old, dict) and isinstance(new, dict):
+        for key in [*old, *(k for k in new if k not in old)]:
+            at = f"{where}.{key}" if where else str(key)
+            if key not in new:
+                return f"{at} is no longer there"
+            if key not in old:
+                return f"{at} is new"
+            found = find_difference(old[key], new[key], at)
+            if found:
+                return found
+        return None
+    if isinstance(old, list) and isinstance(new, list):
+        if len(old) != len(new):
+            return f"{where}: {len(old)} then, {len(new)} now"
+        for i, (a, b) in enumerate(zip(old, new, strict=True)):
+            found = find_difference(a, b, f"{where}[{i}]")
+            if found:
+                return found
+        return None
+    if old != new:
+        return f"{where}: {old!r} then, {new!r} now"
+    return None
+
+
+def find_change(old: dict, new: dict) -> str | None:
+    """Describes what makes a plan another campaign; None: nothing does.
+
+    Added cells and trials do not: existing runs stay valid.
+
+    Args:
+        old: From `describe_plan`.
+        new: Likewise.
+    """
+    lists = {part: old[part] for part in ("cells", "trials")}
+    rest = [
+        {k: v for k, v in plan.items() if k not in lists} for plan in (old, new)
+    ]
+    if difference := find_difference(*rest):
+        return difference
+    for part, items in lists.items():
+        for item in items:
+            name = f"{part[:-1]} {_name_item(item)}"
+            same = [i for i in new[part] if _identify(i) == _identify(item)]
+            if not same:
+                return f"without {name} now"
+            if difference := find_difference(item, same[0], name):
+                return difference
+    return None
+
+
+def _identify(item):
+    """Returns what makes a cell or trial itself: all but its settings."""
+    return {k: v for k, v in item.items() if not isinstance(v, dict)}
+
+
+def _name_item(item):
+    """Returns the name of a cell or trial."""
+    if "number" in item:
+        return str(item["number"])
+    return " ".join(str(value) for value in _identify(item).values() if value)
+
+
+def check_folder(folder: Path, plan: Plan) -> None:
+    """Raises UserError if a path for the results is taken."""
+    folder = Path(folder)
+    folders = [
+        *(*reversed(folder.parents), folder),
+        *(folder / "runs", folder / "figures", get_scratch(folder)),
+        *(get_run_folder(folder, run) for run in plan.list_runs()),
+    ]
+    for path in folders:
+        require(
+            path.is_dir() or not os.path.lexists(path),
+            f"--out: cannot write into {folder}: {path} is not a folder",
+        )
+    for name in (_PLAN_FILE, "results.parquet", "report.html"):
+        require(
+            not (folder / name).is_dir(),
+            f"--out: cannot write into {folder}: {folder / name} is a folder",
+        )
+
+
+def get_scratch(folder: Path) -> Path:
+    """Returns the folder for temporary files of the processes."""
+    return Path(folder) / _SCRATCH
+
+
+def enter_folder(folder: Path, plan: Plan) -> None:
+    """Removes what a kill has left in the folder of this campaign.
+
+    Raises:
+        UserError: The folder holds another campaign, or something else.
+    """
+    check_folder(folder, plan)
+    path = Path(folder) / _PLAN_FILE
+    if not path.exists():
+        require(
+            not any(Path(folder).glob("runs/*/row.parquet")),
+            f"--out: {folder} holds runs, but not their {_PLAN_FILE}: their "
+            "campaign is unknown; give another folder",
+        )
+        return
+    try:
+        old = json.loads(path.read_text("utf-8"))
+        difference = find_change(old, describe_plan(plan))
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise UserError(f"{path}: is not a campaign's plan: {error}") from None
+    require(
+        difference is None,
+        f"--out: {folder} holds another campaign ({difference}); give "
+        "another folder, or the same options and perhaps more trials or cells",
+    )
+    # Parts of files that were being written at a kill.
+    for half in Path(folder).rglob(PARTS):
+        half.unlink(missing_ok=True)
+    shutil.rmtree(get_scratch(folder), ignore_errors=True)
+
+
+def open_folder(folder: Path, plan: Plan) -> None:
+    """Makes the folder of a campaign, with its plan in it.
+
+    Raises:
+        UserError: It cannot be written.
+    """
+    text = json.dumps(describe_plan(plan), indent=2) + "\n"
+    try:
+        (Path(folder) / "runs").mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise UserError(
+            f"--out: cannot write into {folder}: {error.strerror}"
+        ) from None
+    write_atomically(
+        Path(folder) / _PLAN_FILE, lambda p: p.write_text(text, "utf-8")
+    )
+
+
+def get_run_folder(folder: Path, run: PlannedRun) -> Path:
+    """Returns the folder of a run."""
+    return Path(folder) / "runs" / run.key
+
+
+def store_run(
+    folder: Path, run: PlannedRun, row: dict, files: dict[str, bytes]
+) -> None:
+    """Writes the results of a run, its row last.
+
+    Args:
+        folder: The campaign's.
+        run: Which.
+        row: Plain values by column: str, bool, int or float.
+        files: Contents by file name.
+
+    Raises:
+        UserError: The folder cannot be written.
+    """
+    where = get_run_folder(folder, run)
+    where.mkdir(parents=True, exist_ok=True)
+    for name, content in files.items():
+        write_atomically(
+            where / name, lambda p, content=content: p.write_bytes(content)
+        )
+    table = _make_table([row], run.cell)
+    write_atomically(where / "row.parquet", lambda p: pq.write_table(table, p))
+
+
+def read_rows(folder: Path, plan: Plan) -> dict[str, dict]:
+    """Returns the rows of the finished runs by the runs' keys.
+
+    Raises:
+        UserError: A row cannot be read, or is another run's.
+    """
+    rows = {}
+    for run in plan.list_runs():
+        path = get_run_folder(folder, run) / "row.parquet"
+        if path.exists():
+            try:
+                (rows[run.key],) = pq.read_table(path).to_pylist()
+            except (OSError, ValueError, pa.ArrowException) as error:
+                reason = str(error).splitlines()[0]
+                raise UserError(
+                    f"{path}: cannot be read ({reason}); remove it to have "
+                    "the run repeated"
+                ) from None
+            wrong = [
+                name
+                for name, value in make_row(run, {}).items()
+                # NaN is not equal to itself.
+                if rows[run.key].get(name) != value and value == value
+            ]
+            require(
+                not wrong,
+                f"{path}: is of another run ({', '.join(wrong)}); remove it "
+                "to have the run repeated",
+            )
+    return rows
+
+
+def _make_table(rows, cell):
+    """Returns rows as a table whose columns say what they are."""
+    # Rows of an older version may lack some columns.
+    names = list(dict.fromkeys(name for row in rows for name in row))
+    table = pa.Table.from_pydict(
+        {name: [row.get(name) for row in rows] for name in names}
+    )
+    return add_descriptions(table, COLUMNS | dict(cell.COLUMNS))
+
+
+def write_results(folder: Path, plan: Plan, results: list[dict]) -> Path:
+    """Writes results.parquet, one row per run; returns its path."""
+    path = Path(folder) / "results.parquet"
+    table = _make_table(results, plan.cells[0])
+    buffer = io.BytesIO()
+    pq.write_table(table, buffer)
+    write_atomically(path, lambda p: p.write_bytes(buffer.getvalue()))
+    return path
