@@ -109,6 +109,7 @@ def make_twin(
     """
     scene_graph = SceneGraph()
     plant = make_cell_plant(
+        workcell=scenario.workcell,
         arm=scenario.robot,
         scene_graph=scene_graph,
         sensors=scenario.sensors,

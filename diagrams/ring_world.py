@@ -43,6 +43,7 @@ def make_scene(builder: DiagramBuilder, scenario: Scenario):
     """
     scene_graph = builder.AddNamedSystem("scene_graph", SceneGraph())
     plant = make_cell_plant(
+        workcell=scenario.workcell,
         arm=scenario.robot,
         sensors=scenario.sensors,
         products=scenario.task.products,

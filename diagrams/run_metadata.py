@@ -1,11 +1,13 @@
 """What a reader of the record must know about the run besides the numbers."""
 
 import importlib.metadata
+import itertools
 import math
 import platform
 
 import numpy as np
-from pydrake.geometry import Box, Role
+from pydrake.geometry import Role
+from pydrake.multibody.tree import ModelInstanceIndex
 import yaml
 
 from tofssm_drake.arms.chain import find_chain
@@ -31,13 +33,6 @@ _KIND = {
     Ring: "rings",
     MotionCapture: "motion capture",
     PlanarLidar: "planar lidar",
-}
-
-_FURNITURE = {
-    "pick_table": "pick table",
-    "place_table": "place table",
-    "box": "box",
-    "pedestal": "",
 }
 
 
@@ -188,36 +183,19 @@ def _find_link_offsets(scenario, station):
 
 
 def _describe_plan(station):
-    """Returns the furniture's outlines from above."""
-    plant = station.plant
-    inspector = station.scene_graph.model_inspector()
-    context = plant.CreateDefaultContext()
+    """Returns where the robot stands and what is around it, from above."""
+    robot = find_chain(station.plant).X_WB[:2, 3]
     outlines = []
-    for model, label in _FURNITURE.items():
-        corners = []
-        instance = plant.GetModelInstanceByName(model)
-        for index in plant.GetBodyIndices(instance):
-            X_WB = plant.EvalBodyPoseInWorld(context, plant.get_body(index))
-            frame_id = plant.GetBodyFrameIdOrThrow(index)
-            for geometry_id in inspector.GetGeometries(
-                frame_id, Role.kPerception
-            ):
-                shape = inspector.GetShape(geometry_id)
-                if isinstance(shape, Box):
-                    X_WG = X_WB @ inspector.GetPoseInFrame(geometry_id)
-                    half = 0.5 * np.array(shape.size())
-                    corners += [
-                        X_WG @ (half * [x, y, z])
-                        for x in (-1, 1)
-                        for y in (-1, 1)
-                        for z in (-1, 1)
-                    ]
-        if corners:
-            low = np.min(corners, axis=0)
-            high = np.max(corners, axis=0)
+    for instance in _find_furniture(station.plant):
+        corners = _find_corners(station, instance)
+        if len(corners):
+            low, high = corners.min(axis=0)[:2], corners.max(axis=0)[:2]
+            name = station.plant.GetModelInstanceName(instance)
+            # The mark of the robot's base covers what it stands on.
+            is_under_robot = np.all((low <= robot) & (robot <= high))
             outlines.append(
                 {
-                    "label": label,
+                    "label": "" if is_under_robot else name.replace("_", " "),
                     "outline": [
                         [low[0], low[1]],
                         [high[0], low[1]],
@@ -226,7 +204,34 @@ def _describe_plan(station):
                     ],
                 }
             )
-    return {
-        "outlines": outlines,
-        "robot": find_chain(plant).X_WB[:2, 3].tolist(),
+    return {"outlines": outlines, "robot": robot.tolist()}
+
+
+def _find_furniture(plant):
+    """Returns the model instances that are fixed to the world as a whole."""
+    fixed = {
+        body.index() for body in plant.GetBodiesWeldedTo(plant.world_body())
     }
+    instances = map(ModelInstanceIndex, range(1, plant.num_model_instances()))
+    return [i for i in instances if fixed.issuperset(plant.GetBodyIndices(i))]
+
+
+def _find_corners(station, instance):
+    """Returns the corners of boxes around what is seen of a model, (k, 3)."""
+    plant = station.plant
+    inspector = station.scene_graph.model_inspector()
+    context = plant.CreateDefaultContext()
+    corners = []
+    for index in plant.GetBodyIndices(instance):
+        X_WB = plant.EvalBodyPoseInWorld(context, plant.get_body(index))
+        frame_id = plant.GetBodyFrameIdOrThrow(index)
+        for geometry_id in inspector.GetGeometries(frame_id, Role.kPerception):
+            box = inspector.GetObbInGeometryFrame(geometry_id)
+            if box is None:  # A half-space.
+                continue
+            X_WO = X_WB @ inspector.GetPoseInFrame(geometry_id) @ box.pose()
+            corners += [
+                X_WO @ (box.half_width() * signs)
+                for signs in itertools.product((-1.0, 1.0), repeat=3)
+            ]
+    return np.reshape(corners, (-1, 3))

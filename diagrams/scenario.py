@@ -1,5 +1,6 @@
 """The Scenario of a run, and how it is read from YAML."""
 
+import copy
 import dataclasses as dc
 import difflib
 from importlib import resources
@@ -14,6 +15,8 @@ from pydrake.common.yaml import yaml_load_typed
 import yaml
 
 from tofssm_drake.arms.arm import Arm
+from tofssm_drake.arms.arm_file import find_model_file
+from tofssm_drake.arms.cell_plant import WORKCELL
 from tofssm_drake.arms.sim_arm import Simulated
 from tofssm_drake.arms.ur_arm import UrArm
 from tofssm_drake.diagrams.sensors import (
@@ -63,6 +66,9 @@ class Scenario:
     }
     """Former keys and what they are called now, for the error message."""
 
+    PATHS: ClassVar[tuple[str, ...]] = ("workcell",)
+    """Keys of files; every choice that reads files names its own."""
+
     # Seed of every random draw: the sensors' constant errors and their noise.
     random_seed: int = 0
 
@@ -77,6 +83,10 @@ class Scenario:
     # UR's real meshes as sensed and shown geometry of the robot instead of
     # capsules. Needs the extra `meshes`.
     robot_meshes: bool = False
+
+    # What stands around the arm, fixed to the world: model directives or a
+    # model, a file or a package:// URL; empty: nothing.
+    workcell: str = WORKCELL
 
     # The arm: where it stands, its tool, what the sensors see of it.
     robot: UrArm | Arm = dc.field(default_factory=UrArm)
@@ -138,6 +148,8 @@ class Scenario:
             f"{at}control_period: {self.control_period} must be from 0.001 "
             "to 0.1 s",
         )
+        if self.workcell:
+            find_model_file(self.workcell, f"{at}workcell")
         self._check_sensors(f"{at}sensors")
         for group in ("people", "obstacles"):
             for name, member in getattr(self, group).items():
@@ -239,6 +251,9 @@ def load_scenario(
 ) -> Scenario:
     """Reads a named scenario from a file, then applies changes given as text.
 
+    Files that a scenario names are looked for beside the file it is in; those
+    in `text`, in the current folder.
+
     Args:
         filename: YAML file whose top-level keys are scenario names; None
             takes the scenarios that come with the package.
@@ -267,6 +282,7 @@ def load_scenario(
     scenario = _change(
         _load_default(), children[name], source, name, replace=True
     )
+    _resolve_paths(scenario, filename.parent)
     return change_scenario(scenario, text, source="--scenario-text")
 
 
@@ -279,18 +295,36 @@ def _load_default() -> Scenario:
     )
 
 
+def _resolve_paths(settings, folder):
+    """Makes relative paths in settings those of files in a folder."""
+    if isinstance(settings, dict):
+        for child in settings.values():
+            _resolve_paths(child, folder)
+        return
+    if not dc.is_dataclass(settings):
+        return
+    for key in getattr(settings, "PATHS", ()):
+        value = getattr(settings, key)
+        if value and not value.startswith("package://"):
+            setattr(settings, key, str(folder.absolute() / value))
+    for field in dc.fields(settings):
+        _resolve_paths(getattr(settings, field.name), folder)
+
+
 def change_scenario(scenario: Scenario, text: str, *, source: str) -> Scenario:
     """Returns a scenario with some settings changed, checked.
 
     Args:
         scenario: The original; not changed.
-        text: YAML of these settings; may be empty.
+        text: YAML of these settings; may be empty. Files that it names are
+            looked for in the current folder.
         source: Where the text is from, for the message.
 
     Raises:
         UserError: See `load_scenario`.
     """
-    scenario = change_settings(scenario, text, source=source)
+    scenario = copy.deepcopy(change_settings(scenario, text, source=source))
+    _resolve_paths(scenario, pathlib.Path.cwd())
     scenario.check()
     return scenario
 

@@ -120,5 +120,9 @@ def make_station(scenario: Scenario) -> Station:
 def _require_supported(scenario, q):
     """Raises UserError unless every product rests on something."""
     scene_graph = SceneGraph()
-    cell = make_cell_plant(arm=scenario.robot, scene_graph=scene_graph)
+    cell = make_cell_plant(
+        workcell=scenario.workcell,
+        arm=scenario.robot,
+        scene_graph=scene_graph,
+    )
     require_supported(scenario.task, cell, scene_graph, q)

@@ -17,7 +17,7 @@ from robots import CHAINS, PANDA, make_panda, make_urdf
 import trimesh
 
 import tofssm_drake.arms.arm as mut
-from tofssm_drake.arms.arm_file import find_arm_file
+from tofssm_drake.arms.arm_file import find_model_file
 from tofssm_drake.arms.cell_plant import make_cell_plant
 from tofssm_drake.arms.kinematics import ArmKinematics
 from tofssm_drake.errors import UserError
@@ -35,7 +35,7 @@ SHAPES = {
 def make_scene(arm):
     """Returns the arm's plant with shapes, and the inspector."""
     scene_graph = SceneGraph()
-    plant = make_cell_plant(arm=arm, scene_graph=scene_graph, cell=False)
+    plant = make_cell_plant(arm=arm, scene_graph=scene_graph, workcell="")
     return plant, scene_graph.model_inspector()
 
 
@@ -358,4 +358,4 @@ class TestPanda(unittest.TestCase):
         self.assertEqual(len(ids), len(robot.radius))
 
     def test_file(self):
-        self.assertTrue(find_arm_file(PANDA).is_file())
+        self.assertTrue(find_model_file(PANDA).is_file())

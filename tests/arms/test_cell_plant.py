@@ -37,7 +37,7 @@ class TestCellPlant(unittest.TestCase):
                 )
 
     def test_without_cell(self):
-        plant = mut.make_cell_plant(cell=False)
+        plant = mut.make_cell_plant(workcell="")
         context = plant.CreateDefaultContext()
         X_WB = plant.GetFrameByName("base").CalcPoseInWorld(context)
         np.testing.assert_allclose(X_WB.translation(), [0, 0, 0.72])

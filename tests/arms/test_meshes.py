@@ -23,7 +23,7 @@ class TestMeshes(unittest.TestCase):
     @classmethod
     def setUpClass(cls):
         cls.scene_graph = SceneGraph()
-        cls.plant = make_cell_plant(scene_graph=cls.scene_graph, cell=False)
+        cls.plant = make_cell_plant(scene_graph=cls.scene_graph, workcell="")
         cls.meshes = mut.read_collision_meshes(cls.plant)
 
     def test_capsules_cover_the_meshes(self):
@@ -63,7 +63,7 @@ class TestMeshes(unittest.TestCase):
 
     def test_tubes_carry_the_rings(self):
         """Checks that the rings are centred on the real tubes."""
-        plant = make_plant(cell=False)
+        plant = make_plant(workcell="")
         context = plant.CreateDefaultContext()
         for ring, link in (
             ("base", "upper_arm_link"),
@@ -123,7 +123,7 @@ class TestMeshes(unittest.TestCase):
 
     def test_only_what_is_asked_for(self):
         scene_graph = SceneGraph()
-        plant = make_cell_plant(scene_graph=scene_graph, cell=False)
+        plant = make_cell_plant(scene_graph=scene_graph, workcell="")
         inspector = scene_graph.model_inspector()
         before = inspector.GetAllGeometryIds(Role.kPerception)
         mut.replace_robot_shapes(plant, scene_graph, perception=False)

@@ -197,7 +197,7 @@ class TestUrArm(unittest.TestCase):
                 plant = make_cell_plant(
                     arm=mut.UrArm(model=model),
                     scene_graph=scene_graph,
-                    cell=False,
+                    workcell="",
                 )
                 inspector = scene_graph.model_inspector()
                 for role in (Role.kPerception, Role.kProximity):

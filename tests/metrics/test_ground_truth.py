@@ -304,7 +304,7 @@ class TestAnyArm(unittest.TestCase):
             make_cell_plant(
                 arm=arm,
                 scene_graph=scene_graph,
-                cell=False,
+                workcell="",
             )
         )
         builder.Connect(

@@ -14,7 +14,7 @@ from pydrake.multibody.tree import FixedOffsetFrame
 
 from tofssm_drake.arms.arm_file import (
     add_arm_file,
-    find_arm_file,
+    find_model_file,
     fix_joints,
     free_from_world,
     read_foreign_meshes,
@@ -90,12 +90,14 @@ class ArmMount:
 
     tool_frame: ClassVar[str] = TCP
 
+    PATHS: ClassVar[tuple[str, ...]] = ("tool",)
+
     def check_mount(self, where: str) -> None:
         """Raises UserError with one line if one of these is out of range."""
         self.X_WB.check(f"{where}.X_WB")
         self.X_FT.check(f"{where}.X_FT")
         if self.tool:
-            find_arm_file(self.tool, f"{where}.tool")
+            find_model_file(self.tool, f"{where}.tool")
 
     def add_tool(self, plant: MultibodyPlant, flange: str) -> None:
         """Welds the tool to the flange and names the tool centre point.
@@ -130,6 +132,8 @@ class Arm(ArmMount):
     All joints between its base and its flange count, revolute or prismatic.
     """
 
+    PATHS: ClassVar[tuple[str, ...]] = ("file", *ArmMount.PATHS)
+
     # The description: a file, or a package:// URL.
     file: str = ""
 
@@ -158,7 +162,7 @@ class Arm(ArmMount):
         """Raises UserError with one line if a setting is out of range."""
         self.check_mount(where)
         require(bool(self.file), f"{where}.file: names no robot description")
-        find_arm_file(self.file, f"{where}.file")
+        find_model_file(self.file, f"{where}.file")
         require(
             self.sensed in SENSED,
             f"{where}.sensed: {self.sensed!r} is unknown, use one of "

@@ -94,7 +94,7 @@ def _find_public_robots():
     return None
 
 
-def find_arm_file(file: str, where: str = "robot.file") -> pathlib.Path:
+def find_model_file(file: str, where: str = "robot.file") -> pathlib.Path:
     """Returns the path of a description.
 
     Args:
@@ -136,7 +136,7 @@ def add_arm_file(plant: MultibodyPlant, file: str) -> ParsedArm:
     Raises:
         UserError: It cannot be found or read.
     """
-    path = find_arm_file(file)
+    path = find_model_file(file)
     packages = make_package_map()
     _add_own_package(packages, path)
     parser = Parser(plant)
@@ -159,6 +159,49 @@ def add_arm_file(plant: MultibodyPlant, file: str) -> ParsedArm:
         effort=effort,
         constraints=tuple(set(plant.GetConstraintIds()) - before),
     )
+
+
+def add_workcell_file(
+    plant: MultibodyPlant, file: str, where: str = "workcell"
+) -> None:
+    """Adds what stands around an arm, fixed to the world.
+
+    Args:
+        plant: Not finalized.
+        file: Model directives or a model (`.dmd.yaml`, URDF, SDF, MJCF): a
+            path, or a package:// URL.
+        where: What the user calls this, for the message.
+
+    Raises:
+        UserError: It cannot be found or read, or something in it could move.
+    """
+    path = find_model_file(file, where)
+    packages = make_package_map()
+    _add_own_package(packages, path)
+    parser = Parser(plant)
+    parser.SetStrictParsing()
+    parser.package_map().AddMap(packages)
+    try:
+        found = parser.AddModels(str(path))
+    except RuntimeError as error:
+        message = " ".join(str(error).split())
+        raise UserError(f"{where}: {file}: {message}") from None
+    _require_fixed(plant, found, f"{where}: {file}")
+
+
+def _require_fixed(plant, instances, where):
+    """Raises UserError unless every body is welded to the world."""
+    fixed = {
+        body.index() for body in plant.GetBodiesWeldedTo(plant.world_body())
+    }
+    for instance in instances:
+        for index in plant.GetBodyIndices(instance):
+            name = plant.get_body(index).scoped_name().get_full()
+            require(
+                index in fixed,
+                f"{where}: {name} could move; weld it to the world "
+                "(what moves belongs to obstacles)",
+            )
 
 
 def _add_own_package(packages, path):

@@ -11,6 +11,7 @@ from pydrake.geometry import SceneGraph
 from pydrake.multibody.plant import MultibodyPlant
 
 from tofssm_drake.arms.arm import ArmModel
+from tofssm_drake.arms.arm_file import add_workcell_file
 from tofssm_drake.arms.ur_arm import UrArm
 from tofssm_drake.errors import require
 import tofssm_drake.models as models
@@ -18,6 +19,9 @@ from tofssm_drake.sensors.ring import Ring
 from tofssm_drake.sensors.ring_looks import add_ring_looks
 
 _URL = f"package://{models.PACKAGE}/"
+
+WORKCELL = _URL + "workcell/cell.dmd.yaml"
+"""The paper's cell: floor, pedestal, two tables and a box."""
 
 
 class Mounted(Protocol):
@@ -33,7 +37,7 @@ def make_cell_plant(
     products: int = 0,
     scene_graph: SceneGraph | None = None,
     time_step: float = 0.0,
-    cell: bool = True,
+    workcell: str = WORKCELL,
     meshes: bool = False,
     arm: ArmModel | None = None,
 ) -> MultibodyPlant:
@@ -46,7 +50,8 @@ def make_cell_plant(
         scene_graph: Where to register the geometry; without it the plant has
             none, and steps spend no time on contact.
         time_step: Of the discrete plant, s; 0 is continuous.
-        cell: Whether to load floor, pedestal, tables and box.
+        workcell: Model of what stands around the arm: a file, or a
+            package:// URL; empty: nothing.
         meshes: Whether the robot's visible geometry is Universal Robots' own
             meshes instead of primitive shapes; needs the SceneGraph and the
             optional extra `meshes`. Of a UR10 only.
@@ -56,20 +61,20 @@ def make_cell_plant(
         A finalized plant.
 
     Raises:
-        UserError: If a sensor is to be mounted where there is no frame, or
-            there are no meshes of this arm.
+        UserError: If a model cannot be found or read, a sensor is to be mounted
+            where there is no frame, or there are no meshes of this arm.
     """
     plant = MultibodyPlant(time_step)
     if scene_graph is not None:
         plant.RegisterAsSourceForSceneGraph(scene_graph)
     arm = arm or UrArm()
-    parser = models.make_parser(plant)
-    if cell:
-        parser.AddModelsFromUrl(_URL + "workcell/cell.dmd.yaml")
+    if workcell:
+        add_workcell_file(plant, workcell)
     arm.add_to_plant(plant)
     sensors = sensors or {}
     for name, sensor in sensors.items():
         sensor.add_frames(plant, name)
+    parser = models.make_parser(plant)
     for i in range(products):
         (instance,) = parser.AddModelsFromUrl(_URL + "workcell/product.urdf")
         plant.RenameModelInstance(instance, f"product_{i}")

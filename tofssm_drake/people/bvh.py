@@ -7,6 +7,7 @@
 import dataclasses as dc
 import itertools
 import math
+from typing import ClassVar
 
 import numpy as np
 
@@ -58,6 +59,8 @@ class BvhRecording:
 
     # The BVH file.
     filename: str = ""
+
+    PATHS: ClassVar[tuple[str, ...]] = ("filename",)
 
     # Unit of length in the file: "m", "ft", "inch", "cm", "mm", "cgspeed"
     # (inch / 0.45, as in the usual conversions of the CMU database), a number
