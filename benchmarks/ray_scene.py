@@ -35,7 +35,7 @@ from tofssm_drake.raycast.ray_caster import RayCaster
 from tofssm_drake.raycast.triangle_mesh import read_mesh
 from tofssm_drake.sensors.ring_mount import find_ring_mount
 from tofssm_drake.sensors.tof_rings import make_ring_bundles
-from tofssm_drake.tasks.products import ProductLayout, calc_product_positions
+from tofssm_drake.tasks.products import calc_object_positions
 from tofssm_drake.tasks.program import make_program_path
 
 NUM_STATES = 256
@@ -46,8 +46,7 @@ class State:
     """What robot and avatar report at one time."""
 
     q: np.ndarray
-    gripper_closed: float
-    products_placed: int
+    carried: np.ndarray
     ends: np.ndarray
     """Of the person's capsules, (c, 2, 3)."""
     positions: np.ndarray
@@ -82,27 +81,25 @@ class Scene:
             config=sensor, caster=self.caster, mounts=self.mounts
         )
         self.max_range = float(self.bundles.max_range[0])
-        layout = ProductLayout.from_config(scenario.task)
         kinematics = ArmKinematics.from_plant(self.plant)
+        path = make_program_path(scenario.task, kinematics)
         others = self.caster.frame_ids[: -len(avatar.frame_ids)]
         assert self.caster.frame_ids == [*others, *avatar.frame_ids]
         self._num_others = len(others)
         self._twin_poses = TwinPoses.from_plant(
-            self.plant, layout=layout, frame_ids=others
+            self.plant, objects=path.objects, frame_ids=others
         )
-        path = make_program_path(scenario.task, kinematics)
         # Scans that follow one another, from the middle of the task.
         times = 0.3 * path.duration + np.arange(NUM_STATES) * sensor.period
         self.states = []
         for time in times:
             reported = {
                 "q": path.calc_motion(time)[0],
-                "gripper_closed": float(path.calc_gripper_closed(time)),
-                "products_placed": path.calc_products_placed(time),
+                "carried": path.calc_carried_objects(time),
             }
             ends = capsule_ends(motion, time)
-            products = calc_product_positions(
-                layout=layout, kinematics=kinematics, **reported
+            products = calc_object_positions(
+                objects=path.objects, kinematics=kinematics, **reported
             )
             self.states.append(
                 State(
@@ -164,8 +161,7 @@ class Scene:
         X_WF = np.empty((self._num_others + len(state.ends), 3, 4))
         self._twin_poses.calc(
             state.q,
-            state.gripper_closed,
-            state.products_placed,
+            state.carried,
             X_WF[: self._num_others],
         )
         calc_capsule_poses(state.ends, X_WF[self._num_others :])

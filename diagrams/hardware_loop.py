@@ -235,7 +235,7 @@ class HardwareLoop:
         )
 
     def _read(self, given):
-        report, monitor = given.report, self._monitor
+        station, monitor = self._station.diagram, self._monitor
         return TickResult(
             time=given.time,
             decision=self._ask(monitor, "decision"),
@@ -243,8 +243,8 @@ class HardwareLoop:
             speed_fraction=float(self._ask(monitor, "speed_fraction")[0]),
             slider=self._ask(self._slider, "slider"),
             separation=self._ask(monitor, "separation"),
-            products_placed=max(report.products_placed, 0),
-            task_done=report.products_placed >= self._scenario.task.products,
+            products_placed=int(self._ask(station, "products_placed")[0]),
+            task_done=self._ask(station, "task_done")[0] > 0.5,
             sent=self._sent,
         )
 

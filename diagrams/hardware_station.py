@@ -30,7 +30,7 @@ from tofssm_drake.rtde.slider import SliderConfig
 _REPORTED = (
     "position_measured",
     "velocity_measured",
-    "gripper_closed",
+    "carried_objects",
     "products_placed",
     "task_done",
 )
@@ -68,7 +68,7 @@ def make_hardware_station(
         - scan_tool
         - position_measured
         - velocity_measured
-        - gripper_closed
+        - carried_objects
         - products_placed
         - task_done
         - geometry_query
@@ -99,12 +99,13 @@ def make_hardware_station(
         # Nobody is simulated whom the twin could see.
         seen = dc.replace(scenario, people={}, obstacles={})
     scene_graph, plant = make_scene(builder, seen)
+    path = make_task_path(
+        scenario.task, ArmKinematics.from_plant(plant), scenario.robot
+    )
     subscriber, receiver, commanded = _add_robot(
         builder,
         robot,
-        RobotReportReceiver(
-            gripper_output=gripper_output, products=scenario.task.products
-        ),
+        RobotReportReceiver(path=path, gripper_output=gripper_output),
     )
     if rings is not None:
         _add_rings(builder, rings, tuple(find_rings(scenario.sensors)))
@@ -114,8 +115,8 @@ def make_hardware_station(
         scene_graph=scene_graph,
         plant=plant,
         position_measured=receiver.GetOutputPort("position_measured"),
-        gripper_closed=receiver.GetOutputPort("gripper_closed"),
-        products_placed=receiver.GetOutputPort("products_placed"),
+        objects=path.objects,
+        carried_objects=receiver.GetOutputPort("carried_objects"),
         with_sensors=rings is None,
     )
     slider = dc.replace(
@@ -131,9 +132,6 @@ def make_hardware_station(
     builder.ExportOutput(world.people.skeleton, "skeleton")
     diagram = builder.Build()
     diagram.set_name("station")
-    path = make_task_path(
-        scenario.task, ArmKinematics.from_plant(plant), scenario.robot
-    )
     return HardwareStation(
         diagram=diagram,
         plant=plant,

@@ -24,7 +24,7 @@ from tofssm_drake.diagrams.sensors.rings import (
     group_rings,
     make_group_self_hits,
 )
-from tofssm_drake.diagrams.tasks import find_layout, make_task_path
+from tofssm_drake.diagrams.tasks import make_task_path
 from tofssm_drake.laws.speed_fraction import SpeedFractionTrajectory
 from tofssm_drake.perception.self_hit_coverage import (
     calc_verifiable_share,
@@ -45,8 +45,7 @@ def make_monitor(
         input_ports:
         - position_measured
         - velocity_measured
-        - gripper_closed
-        - products_placed
+        - carried_objects
         - scan_base
         - scan_elbow
         - scan_tool
@@ -59,14 +58,15 @@ def make_monitor(
         - masked_scan_tool
         - self_hit_health
 
-    It sees only what real hardware provides: the sensors' scans, the joints, a
-    digital output (gripper) and a register (products placed). It has its own
+    It sees only what real hardware provides: the sensors' scans, the joints,
+    and which objects the tool carries (`CarriableObjects`). It has its own
     model of the cell, the twin.
 
     The ports are those of the paper's cell. Every sensor that scans has a port
     `scan_<sensor>`, every ring a `masked_scan_<ring>` too; motion capture adds
-    the true person, `skeleton`. Without rings there are neither gripper and
-    products nor `self_hit_health` (which also needs the rings to be watched).
+    the true person, `skeleton`. Without rings there are neither
+    `carried_objects` nor `self_hit_health` (which also needs the rings to be
+    watched).
     Rings that are not alike have a `self_hit_health_<i>` for each kind.
 
     Args:
@@ -113,7 +113,7 @@ def make_twin(
         arm=scenario.robot,
         scene_graph=scene_graph,
         sensors=scenario.sensors,
-        products=scenario.task.products,
+        products=scenario.task.num_objects,
         meshes=scenario.robot_meshes,
     )
     kinematics = ArmKinematics.from_plant(
@@ -133,7 +133,7 @@ def make_twin(
         scene_graph=scene_graph,
         plant=plant,
         kinematics=kinematics,
-        layout=find_layout(scenario.task),
+        objects=path.objects,
         person_radii=person_radii,
     )
 

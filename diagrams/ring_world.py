@@ -17,12 +17,13 @@ from pydrake.systems.rendering import MultibodyPositionToGeometryPose
 
 from tofssm_drake.arms.cell_plant import make_cell_plant
 from tofssm_drake.arms.kinematics import ArmKinematics
+from tofssm_drake.carried_objects import CarriableObjects
 from tofssm_drake.diagrams.people import People, add_people
 from tofssm_drake.diagrams.scenario import Scenario
 from tofssm_drake.diagrams.sensors import World, add_sensors_to_world
-from tofssm_drake.diagrams.tasks import find_layout
+from tofssm_drake.diagrams.tasks import make_task_path
 from tofssm_drake.raycast.ray_caster import RayCaster
-from tofssm_drake.tasks.products import ProductCarrier
+from tofssm_drake.tasks.products import ObjectCarrier
 
 
 @dc.dataclass(frozen=True, eq=False, kw_only=True)
@@ -46,7 +47,7 @@ def make_scene(builder: DiagramBuilder, scenario: Scenario):
         workcell=scenario.workcell,
         arm=scenario.robot,
         sensors=scenario.sensors,
-        products=scenario.task.products,
+        products=scenario.task.num_objects,
         scene_graph=scene_graph,
         meshes=scenario.robot_meshes,
     )
@@ -59,9 +60,9 @@ def add_ring_world(
     scenario: Scenario,
     scene_graph: SceneGraph,
     plant: MultibodyPlant,
+    objects: CarriableObjects,
     position_measured: OutputPort,
-    gripper_closed: OutputPort,
-    products_placed: OutputPort,
+    carried_objects: OutputPort,
     with_sensors: bool = True,
 ) -> RingWorld:
     """Poses the scene from a robot's report and adds the sensors.
@@ -73,18 +74,16 @@ def add_ring_world(
         scenario: Checked settings.
         scene_graph: From `make_scene`.
         plant: From `make_scene`.
-        position_measured: The robot's joints, rad.
-        gripper_closed: More than 0.5 is closed.
-        products_placed: Their number.
+        objects: What the task carries.
+        position_measured: The robot's joints, rad or m.
+        carried_objects: Where the objects are, see `CarriableObjects`.
         with_sensors: Whether to simulate the sensors.
     """
     report = {
         "position_measured": position_measured,
-        "gripper_closed": gripper_closed,
-        "products_placed": products_placed,
+        "carried_objects": carried_objects,
     }
-    layout = find_layout(scenario.task)
-    _show_robot_and_products(builder, layout, scene_graph, plant, report)
+    _show_robot_and_objects(builder, objects, scene_graph, plant, report)
     people = add_people(
         builder,
         scene_graph,
@@ -112,8 +111,7 @@ def make_ring_world(scenario: Scenario) -> Diagram:
         name: ring_world
         input_ports:
         - position_measured
-        - gripper_closed
-        - products_placed
+        - carried_objects
         output_ports:
         - scan_base
         - scan_elbow
@@ -129,11 +127,12 @@ def make_ring_world(scenario: Scenario) -> Diagram:
     """
     builder = DiagramBuilder()
     scene_graph, plant = make_scene(builder, scenario)
+    kinematics = ArmKinematics.from_plant(plant)
+    objects = make_task_path(scenario.task, kinematics, scenario.robot).objects
     report = {}
     for name, size in (
-        ("position_measured", ArmKinematics.from_plant(plant).num_joints),
-        ("gripper_closed", 1),
-        ("products_placed", 1),
+        ("position_measured", kinematics.num_joints),
+        ("carried_objects", len(objects)),
     ):
         relay = builder.AddNamedSystem(name, PassThrough(size))
         builder.ExportInput(relay.get_input_port(), name)
@@ -143,6 +142,7 @@ def make_ring_world(scenario: Scenario) -> Diagram:
         scenario=scenario,
         scene_graph=scene_graph,
         plant=plant,
+        objects=objects,
         **report,
     )
     builder.ExportOutput(scene_graph.get_query_output_port(), "geometry_query")
@@ -152,18 +152,18 @@ def make_ring_world(scenario: Scenario) -> Diagram:
     return diagram
 
 
-def _show_robot_and_products(builder, layout, scene_graph, plant, report):
-    """Poses the visible robot and products from the robot's report."""
+def _show_robot_and_objects(builder, objects, scene_graph, plant, report):
+    """Poses the visible robot and objects from the robot's report."""
     kinematics = ArmKinematics.from_plant(plant)
     carrier = builder.AddNamedSystem(
-        "products",
-        ProductCarrier(layout=layout, kinematics=kinematics),
+        "objects",
+        ObjectCarrier(objects=objects, kinematics=kinematics),
     )
     for name, port in report.items():
         builder.Connect(port, carrier.GetInputPort(name))
     positions = builder.AddNamedSystem(
         "positions",
-        Multiplexer([kinematics.num_joints, 7 * len(layout)]),
+        Multiplexer([kinematics.num_joints, 7 * len(objects)]),
     )
     builder.Connect(report["position_measured"], positions.get_input_port(0))
     builder.Connect(carrier.get_output_port(), positions.get_input_port(1))

@@ -9,12 +9,16 @@ import numpy as np
 from pydrake.common import RandomGenerator
 from pydrake.systems.analysis import Simulator
 
+from tofssm_drake.arms.cell_plant import make_cell_plant
+from tofssm_drake.arms.kinematics import ArmKinematics
 from tofssm_drake.diagrams.ring_world import make_ring_world
 from tofssm_drake.diagrams.scenario import Scenario
 from tofssm_drake.diagrams.sensors.rings import find_rings
+from tofssm_drake.diagrams.tasks import make_task_path
 from tofssm_drake.ringlink.ring_device import DeviceClock, make_frame
 from tofssm_drake.ringlink.ring_fault_injection import FaultInjector, RingFault
 from tofssm_drake.ringlink.ring_frame import RingFrame
+from tofssm_drake.rtde.rtde_systems import read_carried_objects
 
 # Longest extrapolation of the robot's motion from its last report, s: slightly
 # more than two of its control cycles; and backwards, if a busy computer wakes
@@ -115,6 +119,10 @@ class SimulatedRings:
             for ring in self._rings
         ]
         self._send = send
+        kinematics = ArmKinematics.from_plant(
+            make_cell_plant(arm=scenario.robot)
+        )
+        self._path = make_task_path(scenario.task, kinematics, scenario.robot)
         self._diagram = make_ring_world(scenario)
         context = self._diagram.CreateDefaultContext()
         self._diagram.SetRandomContext(
@@ -128,15 +136,9 @@ class SimulatedRings:
 
     def _compile(self, context):
         """Runs two periods so that kernels are compiled."""
-        for name, size in (
-            (
-                "position_measured",
-                self._diagram.GetInputPort("position_measured").size(),
-            ),
-            ("gripper_closed", 1),
-            ("products_placed", 1),
-        ):
-            self._diagram.GetInputPort(name).FixValue(context, np.zeros(size))
+        for name in ("position_measured", "carried_objects"):
+            port = self._diagram.GetInputPort(name)
+            port.FixValue(context, np.zeros(port.size()))
         Simulator(self._diagram, context).AdvanceTo(
             2.0
             * max(ring.sensor.traits.period for ring in self._rings.values())
@@ -150,11 +152,10 @@ class SimulatedRings:
             report: The robot's newest; there must be one.
             now: Host's time at the world's time, s.
         """
-        bits = max(report.digital_outputs, 0)
+        carried = read_carried_objects(report, self._path, self._gripper_output)
         for name, value in (
             ("position_measured", carry_on(report, now)),
-            ("gripper_closed", [float(bits >> self._gripper_output & 1)]),
-            ("products_placed", [float(max(report.products_placed, 0))]),
+            ("carried_objects", carried),
         ):
             self._diagram.GetInputPort(name).FixValue(self._context, value)
         self._simulator.AdvanceTo(time)

@@ -45,15 +45,16 @@ def make_station(scenario: Scenario) -> Station:
         - scan_tool
         - position_measured
         - velocity_measured
-        - gripper_closed
+        - carried_objects
         - products_placed
         - task_done
         - geometry_query
         - skeleton
 
     The monitor may read the scans and the robot's report (`position_measured`
-    to `products_placed`). The last two ports are ground truth, for evaluation
-    and display only.
+    to `carried_objects`). `products_placed` and `task_done` say how far the
+    task is; the last two ports are ground truth, for evaluation and display
+    only.
 
     With the sensing `lidar` there is `scan_lidar` in place of the rings' scans;
     with `ideal` there are no scans.
@@ -75,7 +76,7 @@ def make_station(scenario: Scenario) -> Station:
             period=scenario.control_period,
         ),
     )
-    _require_supported(scenario, program.path.calc_motion(0.0)[0])
+    _require_supported(scenario, program.path)
     robot, _ = make_sim_arm(
         config=scenario.driver,
         arm=scenario.robot,
@@ -93,15 +94,15 @@ def make_station(scenario: Scenario) -> Station:
         scene_graph=scene_graph,
         plant=plant,
         position_measured=robot.GetOutputPort("position_measured"),
-        gripper_closed=program.GetOutputPort("gripper_closed"),
-        products_placed=program.GetOutputPort("products_placed"),
+        objects=program.path.objects,
+        carried_objects=program.GetOutputPort("carried_objects"),
     )
     builder.ExportInput(
         program.GetInputPort("speed_fraction"), "speed_fraction"
     )
     for name in ("position_measured", "velocity_measured"):
         builder.ExportOutput(robot.GetOutputPort(name), name)
-    for name in ("gripper_closed", "products_placed", "task_done"):
+    for name in ("carried_objects", "products_placed", "task_done"):
         builder.ExportOutput(program.GetOutputPort(name), name)
     builder.ExportOutput(scene_graph.get_query_output_port(), "geometry_query")
     builder.ExportOutput(world.people.skeleton, "skeleton")
@@ -117,7 +118,7 @@ def make_station(scenario: Scenario) -> Station:
     )
 
 
-def _require_supported(scenario, q):
+def _require_supported(scenario, path):
     """Raises UserError unless every product rests on something."""
     scene_graph = SceneGraph()
     cell = make_cell_plant(
@@ -125,4 +126,4 @@ def _require_supported(scenario, q):
         arm=scenario.robot,
         scene_graph=scene_graph,
     )
-    require_supported(scenario.task, cell, scene_graph, q)
+    require_supported(path.objects, cell, scene_graph, path.calc_motion(0.0)[0])

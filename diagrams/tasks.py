@@ -10,11 +10,12 @@ from pydrake.multibody.plant import MultibodyPlant
 
 from tofssm_drake.arms.arm import ArmModel
 from tofssm_drake.arms.kinematics import ArmKinematics
+from tofssm_drake.carried_objects import CarriableObjects
 from tofssm_drake.errors import UserError
 from tofssm_drake.perception.twin import TwinPoses
 from tofssm_drake.raycast.ray_caster import RayCaster
 from tofssm_drake.tasks.path import ProgramPath
-from tofssm_drake.tasks.products import HALF_PRODUCT, ProductLayout
+from tofssm_drake.tasks.products import HALF_PRODUCT
 from tofssm_drake.tasks.program import PickAndPlace, make_program_path
 from tofssm_drake.tasks.waypoints import Waypoints, make_waypoint_path
 
@@ -43,30 +44,32 @@ def make_task_path(
 
 
 def require_supported(
-    task: Task, cell: MultibodyPlant, scene_graph: SceneGraph, q: np.ndarray
+    objects: CarriableObjects,
+    cell: MultibodyPlant,
+    scene_graph: SceneGraph,
+    q: np.ndarray,
 ) -> None:
     """Raises UserError unless every product rests on something.
 
     Args:
-        task: Checked settings.
+        objects: Of the task.
         cell: Arm and cell, without the products.
         scene_graph: With which it is registered.
         q: Joints at the start, rad or m, (n,).
     """
-    layout = find_layout(task)
-    if not len(layout):
+    if not len(objects):
         return
     caster = RayCaster(scene_graph.model_inspector())
     twin = TwinPoses.from_plant(
-        cell, layout=ProductLayout.make_empty(), frame_ids=caster.frame_ids
+        cell,
+        objects=CarriableObjects.make_empty(),
+        frame_ids=caster.frame_ids,
     )
-    X_WF = twin.calc(q, 0.0, 0.0)
-    down = np.tile([0.0, 0.0, -1.0], (len(layout), 1))
-    for name, slots in (
-        ("pick", layout.pick_slots),
-        ("place", layout.place_slots),
-    ):
-        below, _ = caster.cast(X_WF, slots, down)
+    X_WF = twin.calc(q, np.empty(0))
+    down = np.tile([0.0, 0.0, -1.0], (len(objects), 1))
+    for place in range(objects.X_WO.shape[1]):
+        middle = objects.X_WO[:, place, :, 3]
+        below, _ = caster.cast(X_WF, middle, down)
         gap = below - HALF_PRODUCT
         i = int(np.argmax(np.abs(gap)))
         if abs(gap[i]) <= _MOST_GAP:
@@ -76,11 +79,6 @@ def require_supported(
             if gap[i] > 0.0
             else f"reach {-gap[i]:.3f} m into what is under it"
         )
-        raise UserError(f"task.{name}_center: product {i} would {what}")
-
-
-def find_layout(task: Task) -> ProductLayout:
-    """Returns where the products of a task are; there may be none."""
-    if isinstance(task, PickAndPlace):
-        return ProductLayout.from_config(task)
-    return ProductLayout.make_empty()
+        raise UserError(
+            f"task.{objects.setting[i][place]}: product {i} would {what}"
+        )

@@ -17,7 +17,8 @@ _FOLDERS = {
 }
 
 _FOR_ALL = (
-    *("device_clock", "errors", "factory", "kernels", "messages", "poses"),
+    *("carried_objects", "device_clock", "errors", "factory"),
+    *("kernels", "messages", "poses"),
 )
 
 # What each room may use of the others.
@@ -27,7 +28,7 @@ _MAY_USE = {
     "tasks": ("arms",),
     "people": (),
     "sensors": ("raycast",),
-    "perception": ("arms", "raycast", "sensors", "tasks"),
+    "perception": ("arms", "raycast", "sensors"),
     "laws": (),
     "rtde": ("arms", "tasks"),
     "ringlink": ("sensors",),

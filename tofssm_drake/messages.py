@@ -342,6 +342,15 @@ class SpeedDecision(_Frozen):
         return classify_target(self.target)
 
 
+UR_JOINTS = 6
+"""Joints of every robot that RTDE is spoken with."""
+
+
+def _make_unknown():
+    """Returns six numbers that a robot did not send."""
+    return np.full(UR_JOINTS, np.nan)
+
+
 @dc.dataclass(frozen=True, eq=False, kw_only=True)
 class RobotReport(_Frozen):
     """What a real robot reports about itself in one package.
@@ -361,23 +370,17 @@ class RobotReport(_Frozen):
     """When the package arrived, s on the host's monotonic clock."""
     timestamp: float = -np.inf
     """When it was made, s on the robot's own clock."""
-    position: np.ndarray = dc.field(default_factory=lambda: np.full(6, np.nan))
+    position: np.ndarray = dc.field(default_factory=_make_unknown)
     """Measured joints q, rad, (6,)."""
-    velocity: np.ndarray = dc.field(default_factory=lambda: np.full(6, np.nan))
+    velocity: np.ndarray = dc.field(default_factory=_make_unknown)
     """Measured joint speeds, rad/s, (6,)."""
-    acceleration_commanded: np.ndarray = dc.field(
-        default_factory=lambda: np.full(6, np.nan)
-    )
+    acceleration_commanded: np.ndarray = dc.field(default_factory=_make_unknown)
     """Target joint accelerations, rad/s^2, (6,)."""
-    tcp_pose: np.ndarray = dc.field(default_factory=lambda: np.full(6, np.nan))
+    tcp_pose: np.ndarray = dc.field(default_factory=_make_unknown)
     """Tool in the robot's base: x, y, z in m, rotation vector in rad, (6,)."""
-    tcp_velocity: np.ndarray = dc.field(
-        default_factory=lambda: np.full(6, np.nan)
-    )
+    tcp_velocity: np.ndarray = dc.field(default_factory=_make_unknown)
     """Of the tool in the base: m/s, then rad/s, (6,)."""
-    tcp_offset: np.ndarray = dc.field(
-        default_factory=lambda: np.full(6, np.nan)
-    )
+    tcp_offset: np.ndarray = dc.field(default_factory=_make_unknown)
     """Tool in the flange: x, y, z in m, rotation vector in rad, (6,)."""
     digital_inputs: int = -1
     """Bits 0-7 standard, 8-15 configurable, 16-17 tool."""

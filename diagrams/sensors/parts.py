@@ -9,11 +9,11 @@ from pydrake.multibody.plant import MultibodyPlant
 from pydrake.systems.framework import DiagramBuilder, InputPort, OutputPort
 
 from tofssm_drake.arms.kinematics import ArmKinematics
+from tofssm_drake.carried_objects import CarriableObjects
 from tofssm_drake.perception.occlusion_mask import OcclusionMaskConfig
 from tofssm_drake.perception.self_hits import SelfHitConfig
 from tofssm_drake.perception.separation import SeparationConfig
 from tofssm_drake.raycast.ray_caster import RayCaster
-from tofssm_drake.tasks.products import ProductLayout
 
 
 @dc.dataclass(frozen=True, eq=False, kw_only=True)
@@ -57,7 +57,8 @@ class Monitor:
     """The twin."""
     kinematics: ArmKinematics
     """Of all watched links."""
-    layout: ProductLayout
+    objects: CarriableObjects
+    """That the task carries."""
     person_radii: Sequence[float] | None
     """Radii of the true person's capsules, m; for motion capture."""
     inputs: set[str] = dc.field(default_factory=set)

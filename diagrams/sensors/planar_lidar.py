@@ -125,7 +125,7 @@ def add_lidar_to_monitor(
     bundle = make_bundle(name, lidar, caster, monitor.plant, inspector)
     twin = TwinPoses.from_plant(
         monitor.plant,
-        layout=monitor.layout,
+        objects=monitor.objects,
         frame_ids=caster.frame_ids,
         kinematics=monitor.kinematics,
     )
@@ -249,7 +249,9 @@ def scan_background(
     Raises:
         UserError: If the lidar is inside something.
     """
-    distance, _ = caster.cast_bundles(bundle, twin.calc(q, 0.0, 0.0))
+    # Objects are in their first places, above the lidar's plane.
+    X_WF = twin.calc(q, np.zeros(twin.num_objects))
+    distance, _ = caster.cast_bundles(bundle, X_WF)
     require(
         bool((distance[0] > 0.0).all()),
         f"{where}: the lidar is inside the robot or something in its cell; use "

@@ -209,8 +209,7 @@ def _add_report(monitor) -> OutputPort:
     sizes = {
         "position_measured": n,
         "velocity_measured": n,
-        "gripper_closed": 1,
-        "products_placed": 1,
+        "carried_objects": len(monitor.objects),
     }
     report = monitor.builder.AddNamedSystem(
         "robot_report", Multiplexer(list(sizes.values()))
@@ -302,7 +301,7 @@ def make_group_self_hits(monitor: Monitor, group: RingGroup) -> SelfHitModel:
 def _pose_twin(monitor, caster):
     return TwinPoses.from_plant(
         monitor.plant,
-        layout=monitor.layout,
+        objects=monitor.objects,
         frame_ids=caster.frame_ids,
         kinematics=monitor.kinematics,
     )

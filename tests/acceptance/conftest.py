@@ -5,9 +5,11 @@ import functools
 import json
 
 from fault_rows import Moment, make_cell
+import numpy as np
 from pydrake.math import RigidTransform
 import pytest
 
+from tofssm_drake.carried_objects import ON_TOOL
 from tofssm_drake.diagrams.scenario import dump_scenario, load_scenario
 from tofssm_drake.diagrams.simulation import Run
 from tofssm_drake.diagrams.workcell import make_workcell
@@ -18,7 +20,8 @@ from tofssm_drake.metrics.metrics import calc_summary
 class Look:
     """A view of the cell."""
 
-    gripper_closed: bool
+    carried: list[int]
+    """Numbers of the products on the tool."""
     placed: int
     X_WG: RigidTransform
     """Pose of the gripper."""
@@ -57,7 +60,7 @@ class Looker:
             RigidTransform(query.GetPoseInWorld(f)) for f in self._frame_ids
         ]
         return Look(
-            gripper_closed=bool(read("gripper_closed")[0] > 0.5),
+            carried=np.flatnonzero(read("carried_objects") == ON_TOOL).tolist(),
             placed=int(read("products_placed")[0]),
             X_WG=X_WF[0],
             X_WP=X_WF[1:],

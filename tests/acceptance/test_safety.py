@@ -227,7 +227,7 @@ class TestProducts:
         carried = {}
         for look in seen:
             for i, X_WP in enumerate(look.X_WP):
-                if look.gripper_closed and i == look.placed:
+                if i in look.carried:
                     X_GP = look.X_WG.inverse() @ X_WP
                     carried.setdefault(i, []).append((X_GP, X_WP))
         assert sorted(carried) == list(range(10))
@@ -263,7 +263,7 @@ class TestProducts:
         last = looks("NoHuman")[-1]
         assert last.placed == 10
         assert samples["products_placed"][-1] == 10
-        assert not last.gripper_closed
+        assert not last.carried
         (box,) = (
             part["outline"]
             for part in samples.metadata["plan"]["outlines"]

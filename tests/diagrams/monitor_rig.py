@@ -23,8 +23,7 @@ class Rig:
         for name, value in (
             ("position_measured", q),
             ("velocity_measured", np.zeros(6)),
-            ("gripper_closed", [0.0]),
-            ("products_placed", [0.0]),
+            ("carried_objects", np.zeros(10)),
         ):
             self.monitor.GetInputPort(name).FixValue(self.context, value)
         self.scans = {

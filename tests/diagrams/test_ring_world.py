@@ -21,7 +21,7 @@ class TestRingWorld(unittest.TestCase):
         builder.Connect(
             speed.get_output_port(), station.GetInputPort("speed_fraction")
         )
-        for name in ("position_measured", "gripper_closed", "products_placed"):
+        for name in ("position_measured", "carried_objects"):
             builder.Connect(
                 station.GetOutputPort(name), world.GetInputPort(name)
             )

@@ -9,6 +9,7 @@ import numpy as np
 from paper_cell import RINGS, find_kinematics, make_rings
 from pydrake.geometry import Meshcat, SceneGraph
 from pydrake.systems.framework import Diagram, LeafSystem
+from robot_room import make_path
 import yaml
 
 import tofssm_drake
@@ -153,7 +154,7 @@ class TestSystemBlocks(unittest.TestCase):
             rtde_systems.RtdeInterfaceSystem(connection=connection),
             rtde_systems.RtdeSubscriberSystem(connection=connection),
             rtde_systems.RtdePublisherSystem(connection=connection),
-            rtde_systems.RobotReportReceiver(),
+            rtde_systems.RobotReportReceiver(path=make_path()),
             rtde_systems.SliderControl(),
             SensingProblem(deadline=0.1),
             SeparationFusion([("one",), ("two",)], name=("one", "two")),

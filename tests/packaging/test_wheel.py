@@ -28,7 +28,7 @@ scenario = load_scenario()
 for name in ("Default", "SixteenSensors"):
     plant = make_cell_plant(
         sensors=load_scenario(name=name).sensors,
-        products=scenario.task.products,
+        products=scenario.task.num_objects,
         scene_graph=SceneGraph(),
     )
     print(plant.num_bodies(), plant.num_positions())

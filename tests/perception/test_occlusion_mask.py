@@ -40,12 +40,13 @@ class SphereTwin:
     """A robot that is a sphere; joint 0 is how far its near side is."""
 
     num_joints = 6
+    num_objects = 2
 
     def __init__(self):
         self.asked = []
 
-    def calc(self, q, gripper_closed, products_placed):
-        self.asked.append((q.copy(), gripper_closed, products_placed))
+    def calc(self, q, carried):
+        self.asked.append((q.copy(), carried.tolist()))
         X_WF = np.eye(3, 4)[None].repeat(2, axis=0)
         X_WF[0, 0, 3] = q[0] + RADIUS
         return X_WF
@@ -113,17 +114,15 @@ def make_scan(distance, status=0, *, sequence=0, time=1.0, n=8):
     )
 
 
-def make_history(
-    times, positions, gripper_closed=0.0, products_placed=0.0, scale=10.0
-):
-    table = mut.make_robot_history(len(times), 6)
+def make_history(times, positions, carried=(0.0, 0.0), scale=10.0):
+    table = mut.make_robot_history(len(times), 6, 2)
     for time, position in zip(times, positions, strict=True):
         q = np.zeros(6)
         q[0] = position
         mut.push_report(
             table,
             time,
-            np.array([*q, *(scale * q), gripper_closed, products_placed]),
+            np.array([*q, *(scale * q), *carried]),
         )
     return table
 
@@ -180,29 +179,29 @@ class TestHistory(unittest.TestCase):
     def test_linear_motion_is_met_exactly(self, t, slope, start):
         times = 0.008 * np.arange(8)
         history = make_history(times, start + slope * times)
-        dut = mut.interpolate_reports(history, t)
+        dut = mut.interpolate_reports(history, t, 6)
         self.assertAlmostEqual(dut[1], start + slope * t, delta=1e-12)
         self.assertAlmostEqual(dut[7], 10 * (start + slope * t), delta=1e-11)
 
     def test_outside_of_its_span(self):
         history = make_history([1.0, 1.008], [0.5, 0.6])
-        self.assertEqual(mut.interpolate_reports(history, 0.9)[1], 0.5)
-        self.assertEqual(mut.interpolate_reports(history, 1.1)[1], 0.6)
+        self.assertEqual(mut.interpolate_reports(history, 0.9, 6)[1], 0.5)
+        self.assertEqual(mut.interpolate_reports(history, 1.1, 6)[1], 0.6)
 
     def test_unused_rows_are_not_looked_at(self):
-        table = mut.make_robot_history(5, 6)
+        table = mut.make_robot_history(5, 6, 2)
         mut.push_report(table, 1.0, np.array([0.3] * 6 + [0.0] * 6 + [1, 4]))
         for time in (0.9, 1.0, 1.1):
-            dut = mut.interpolate_reports(table, time)
+            dut = mut.interpolate_reports(table, time, 6)
             np.testing.assert_array_equal(dut[1:7], np.full(6, 0.3))
             np.testing.assert_array_equal(dut[13:], [1.0, 4.0])
 
     def test_gripper_and_products_are_those_before(self):
         table = make_history([1.0, 1.008], [0.0, 0.0], 0.0, 3.0)
         mut.push_report(table, 1.016, np.array([0.0] * 12 + [1.0, 4.0]))
-        dut = mut.interpolate_reports(table, 1.0159)
+        dut = mut.interpolate_reports(table, 1.0159, 6)
         np.testing.assert_array_equal(dut[13:], [0.0, 3.0])
-        dut = mut.interpolate_reports(table, 1.016)
+        dut = mut.interpolate_reports(table, 1.016, 6)
         np.testing.assert_array_equal(dut[13:], [1.0, 4.0])
 
     def test_oldest_is_dropped(self):
@@ -260,7 +259,7 @@ class TestMaskScan(unittest.TestCase):
         cell = make_cell(config)
         # 1.5 m/s: in the 24 ms until the tick the robot moves 36 mm.
         times = 1.0 + 0.008 * np.arange(5)
-        history = make_history(times, 0.5 + 1.5 * (times - 1.0), 1.0, 3.0)
+        history = make_history(times, 0.5 + 1.5 * (times - 1.0), (1.0, 3.0))
         time = 1.004
         dut = mask_scan(
             config,
@@ -275,8 +274,8 @@ class TestMaskScan(unittest.TestCase):
         np.testing.assert_allclose(dut.position[:, 0], 0.506)
         np.testing.assert_allclose(dut.velocity[:, 0], 5.06)
         self.assertEqual(dut.position.shape, (8, 6))
-        ((_, gripper_closed, products_placed),) = cell["twin"].asked
-        self.assertEqual((gripper_closed, products_placed), (1.0, 3.0))
+        ((_, carried),) = cell["twin"].asked
+        self.assertEqual(carried, [1.0, 3.0])
 
     def mask_moving(self, distance, still=False, **settings):
         """The robot comes at 1.5 m/s and is at 0.5 m at the sample's time."""
@@ -452,11 +451,11 @@ def mask_in_full(config, *, scan, before, time, table, cell, ring):
     for shift in (0.0, -config.time_margin, config.time_margin):
         seen = np.full((n, len(cell["bundles"].fan_S)), np.inf)
         for i in np.flatnonzero(np.isfinite(sensor_time)):
-            report = mut.interpolate_reports(table, sensor_time[i] + shift)
+            report = mut.interpolate_reports(table, sensor_time[i] + shift, 6)
             if shift == 0.0:
                 reports[i] = report
             if config.enabled:
-                X_WF = cell["twin"].calc(report[1:7], report[13], report[14])
+                X_WF = cell["twin"].calc(report[1:7], report[13:])
                 distances, _ = cell["caster"].cast_bundles(
                     cell["bundles"], X_WF
                 )
@@ -536,8 +535,8 @@ def mask_in_full(config, *, scan, before, time, table, cell, ring):
         and ((reading == CLEAR) & np.isin(before.reading, (VALID, HELD))).any()
     )
     for i in np.flatnonzero((reading == CLEAR) & must_prove):
-        report = mut.interpolate_reports(table, sensor_time[i])
-        X_WF = cell["twin"].calc(report[1:7], report[13], report[14])
+        report = mut.interpolate_reports(table, sensor_time[i], 6)
+        X_WF = cell["twin"].calc(report[1:7], report[13:])
         rays, _ = cell["caster"].cast_bundles(cell["proof_bundles"], X_WF)
         rays = rays[rows][i]
         if ((rays >= SENSOR.min_range) & (rays <= 0.9)).sum() >= 2:
@@ -709,7 +708,7 @@ class TestMaskScans(unittest.TestCase):
                 times,
                 position + speed * (times - now + 0.01),
                 scale=scale,
-                gripper_closed=sequence % 2,
+                carried=(sequence % 2, 0.0),
             )
             scans = [
                 self.make_scan(rng, sequence, now, position)
@@ -910,8 +909,8 @@ class TestOcclusionMask(unittest.TestCase):
         np.testing.assert_array_equal(first.velocity[0], np.arange(6.0))
         self.simulator.AdvanceTo(0.05)
         self.assertIs(self.eval(), first)
-        ((_, gripper_closed, products_placed),) = self.cell["twin"].asked
-        self.assertEqual((gripper_closed, products_placed), (1.0, 3.0))
+        ((_, carried),) = self.cell["twin"].asked
+        self.assertEqual(carried, [1.0, 3.0])
 
         self.fix_scan(make_scan(0.7, sequence=1, time=0.040))
         self.simulator.AdvanceTo(0.0561)

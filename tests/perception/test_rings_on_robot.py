@@ -49,7 +49,7 @@ from tofssm_drake.sensors.vl53l1x import (
     make_sensor_errors,
     measure,
 )
-from tofssm_drake.tasks.products import ProductLayout, calc_product_positions
+from tofssm_drake.tasks.products import calc_object_positions
 from tofssm_drake.tasks.program import PickAndPlace, make_program_path
 
 
@@ -66,7 +66,6 @@ class Twin:
         ]
         self.kinematics = find_kinematics(self.plant)
         config = PickAndPlace()
-        self.layout = ProductLayout.from_config(config)
         self.path = make_program_path(config, self.kinematics)
         self.bundles = make_mask_bundles(
             config=OcclusionMaskConfig(),
@@ -75,17 +74,15 @@ class Twin:
             mounts=self.mounts,
         )
         self.poses = TwinPoses.from_plant(
-            self.plant, layout=self.layout, frame_ids=self.caster.frame_ids
+            self.plant,
+            objects=self.path.objects,
+            frame_ids=self.caster.frame_ids,
         )
 
     def calc_self_distance(self, time):
         """Returns what all rings' sensors see, (rings, 8, k)."""
         q = self.path.calc_motion(time)[0]
-        X_WF = self.poses.calc(
-            q,
-            float(self.path.calc_gripper_closed(time)),
-            self.path.calc_products_placed(time),
-        )
+        X_WF = self.poses.calc(q, self.path.calc_carried_objects(time))
         distance, _ = self.caster.cast_bundles(self.bundles, X_WF)
         return distance.reshape(len(RINGS), 8, -1)
 
@@ -185,11 +182,11 @@ class Robot(LeafSystem):
         self.twin = twin
         self.start = start
         self.everything = self.DeclareVectorOutputPort(
-            "everything", 90, self.calc, {self.time_ticket()}
+            "everything", 98, self.calc, {self.time_ticket()}
         )
         for name, part in (
-            ("robot_report", slice(0, 14)),
-            ("positions", slice(14, 90)),
+            ("robot_report", slice(0, 22)),
+            ("positions", slice(22, 98)),
         ):
             self.DeclareVectorOutputPort(
                 name,
@@ -202,21 +199,19 @@ class Robot(LeafSystem):
         twin = self.twin
         time = self.start + context.get_time()
         q, qd, _ = twin.path.calc_motion(time)
-        gripper_closed = float(twin.path.calc_gripper_closed(time))
-        products_placed = twin.path.calc_products_placed(time)
-        products = calc_product_positions(
-            layout=twin.layout,
+        carried = twin.path.calc_carried_objects(time)
+        products = calc_object_positions(
+            objects=twin.path.objects,
             kinematics=twin.kinematics,
             q=q,
-            gripper_closed=gripper_closed,
-            products_placed=products_placed,
+            carried=carried,
         )
         output.SetFromVector(
             np.concatenate(
                 [
                     q,
                     qd,
-                    [gripper_closed, products_placed],
+                    carried,
                     *(q, products.ravel()),
                 ]
             )

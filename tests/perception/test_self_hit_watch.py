@@ -11,6 +11,7 @@ from pydrake.geometry import SceneGraph
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 
+from tofssm_drake.carried_objects import ON_TOOL
 from tofssm_drake.diagrams.monitor import (
     make_twin,
     tell_self_hit_coverage,
@@ -46,8 +47,7 @@ from tofssm_drake.sensors.vl53l1x import (
     make_sensor_errors,
     measure,
 )
-from tofssm_drake.tasks.products import ProductLayout
-from tofssm_drake.tasks.program import make_program_path
+from tofssm_drake.tasks.program import find_products, make_program_path
 
 # Between two looks, s.
 PERIOD = 0.072
@@ -76,7 +76,7 @@ class World:
         scenario = load_scenario()
         self.poses = TwinPoses.from_plant(
             plant,
-            layout=ProductLayout.from_config(scenario.task),
+            objects=find_products(scenario.task),
             frame_ids=others,
         )
 
@@ -97,11 +97,9 @@ class World:
             excluded=[m.geometry_ids for m in self.mounts for _ in m.X_FS],
         )
 
-    def cast(self, bundles, q, gripper_closed, products_placed, time):
+    def cast(self, bundles, q, carried, time):
         X_WF = np.empty((len(self.caster.frame_ids), 3, 4))
-        X_WF[self.twin_rows] = self.poses.calc(
-            q, gripper_closed, products_placed
-        )
+        X_WF[self.twin_rows] = self.poses.calc(q, carried)
         if self.motion is not None:
             ends = capsule_ends(self.motion, time)
             person = np.empty((len(ends), 3, 4))
@@ -193,15 +191,12 @@ def watch(
     for look in range(int(duration / PERIOD)):
         time = start + look * PERIOD
         s = time % path.duration
-        carried = (
-            float(path.calc_gripper_closed(s)),
-            float(path.calc_products_placed(s)),
-        )
+        carried = path.calc_carried_objects(s)
         q, _, _ = path.calc_motion(s)
-        rays = world.cast(straight, q, *carried, time)
+        rays = world.cast(straight, q, carried, time)
         if ring is not None:
             rows = slice(8 * ring, 8 * ring + 8)
-            rays[rows] = world.cast(moved, q, *carried, time)[rows]
+            rays[rows] = world.cast(moved, q, carried, time)[rows]
         distance, status = device(
             *measure(
                 config,
@@ -226,8 +221,7 @@ def watch(
                 q=reported,
                 qd=qd,
                 spread=0.0,
-                gripper_closed=carried[0],
-                products_placed=carried[1],
+                carried=carried,
             ),
         )
         if (
@@ -434,12 +428,12 @@ class TestLooks(unittest.TestCase):
             self.make([1.0, 1.0]),
             self.make([1.0, 1.0]),
             self.make([1.1, 1.1]),
-            carried=(1.0, 3.0),
+            carried=(1.0, ON_TOOL, 0.0),
         )
         self.assertEqual([look.rings for look in looks], [(0, 1), (2,)])
         self.assertEqual(looks[0].status.tolist(), [0, 0, 0, 0, 254, 254])
         np.testing.assert_allclose(looks[1].q, 1.1)
-        self.assertEqual(looks[0].products_placed, 3.0)
+        self.assertEqual(looks[0].carried.tolist(), [1.0, ON_TOOL, 0.0])
 
     def test_samples_of_another_time_are_another_look(self):
         """A ring may fire its sensors in turns."""

@@ -14,8 +14,13 @@ from tofssm_drake.arms.kinematics import ArmKinematics
 from tofssm_drake.arms.ur_arm import UrArm
 from tofssm_drake.errors import UserError
 import tofssm_drake.perception.twin as mut
-from tofssm_drake.tasks.products import ProductLayout, calc_product_positions
-from tofssm_drake.tasks.program import PickAndPlace, make_program_path
+from tofssm_drake.tasks.products import calc_object_positions
+from tofssm_drake.tasks.program import (
+    PickAndPlace,
+    find_products,
+    list_places,
+    make_program_path,
+)
 
 
 @functools.cache
@@ -26,7 +31,7 @@ def make_twin():
 
 def _calc_positions(*, q, **reported):
     """Returns the positions of the twin's plant."""
-    return np.append(q, calc_product_positions(q=q, **reported))
+    return np.append(q, calc_object_positions(q=q, **reported))
 
 
 class TestTwin(unittest.TestCase):
@@ -34,7 +39,7 @@ class TestTwin(unittest.TestCase):
     def setUpClass(cls):
         cls.plant, cls.scene_graph = make_twin()
         cls.kinematics = ArmKinematics.from_plant(cls.plant)
-        cls.layout = ProductLayout.from_config(PickAndPlace())
+        cls.objects = find_products(PickAndPlace())
 
     def test_poses_against_plant(self):
         plant = self.plant
@@ -46,23 +51,23 @@ class TestTwin(unittest.TestCase):
             }
         )
         dut = mut.TwinPoses.from_plant(
-            plant, layout=self.layout, frame_ids=frame_ids
+            plant, objects=self.objects, frame_ids=frame_ids
         )
         context = plant.CreateDefaultContext()
         generator = np.random.default_rng(0)
         for closed, placed in ((0, 0), (1, 0), (1, 4), (0, 5), (1, 9), (0, 10)):
             q = generator.uniform(-3, 3, 6)
+            carried = list_places(10)[2 * placed + closed]
             plant.SetPositions(
                 context,
                 _calc_positions(
-                    layout=self.layout,
+                    objects=self.objects,
                     kinematics=self.kinematics,
                     q=q,
-                    gripper_closed=closed,
-                    products_placed=placed,
+                    carried=carried,
                 ),
             )
-            X_WF = dut.calc(q, closed, placed)
+            X_WF = dut.calc(q, carried)
             for i, frame_id in enumerate(frame_ids):
                 body = plant.GetBodyFromFrameId(frame_id)
                 np.testing.assert_allclose(
@@ -78,12 +83,14 @@ class TestTwin(unittest.TestCase):
             plant.GetFrameByName(name)
             for name in ("base_ring_3", "tool_ring_0", "robot_base")
         ]
-        dut = mut.TwinPoses.from_plant(plant, layout=self.layout, frames=frames)
+        dut = mut.TwinPoses.from_plant(
+            plant, objects=self.objects, frames=frames
+        )
         q = np.linspace(-1, 1, 6)
         context = plant.CreateDefaultContext()
         plant.SetPositions(context, plant.GetModelInstanceByName("ur10"), q)
         X_WF = np.empty((3, 3, 4))
-        self.assertIs(dut.calc(q, 0, 0, X_WF), X_WF)
+        self.assertIs(dut.calc(q, np.zeros(10), X_WF), X_WF)
         for i, frame in enumerate(frames):
             np.testing.assert_allclose(
                 X_WF[i],
@@ -103,22 +110,22 @@ class TestTwin(unittest.TestCase):
                 for i in range(plant.num_bodies())
             ]
             dut = mut.TwinPoses.from_plant(
-                plant, layout=self.layout, frames=frames
+                plant, objects=self.objects, frames=frames
             )
             kinematics = ArmKinematics.from_plant(plant)
             context = plant.CreateDefaultContext()
             q = np.linspace(-0.5, 0.4, kinematics.num_joints)
+            carried = list_places(10)[7]
             plant.SetPositions(
                 context,
                 _calc_positions(
-                    layout=self.layout,
+                    objects=self.objects,
                     kinematics=kinematics,
                     q=q,
-                    gripper_closed=1,
-                    products_placed=3,
+                    carried=carried,
                 ),
             )
-            for X_WF, frame in zip(dut.calc(q, 1, 3), frames, strict=True):
+            for X_WF, frame in zip(dut.calc(q, carried), frames, strict=True):
                 np.testing.assert_allclose(
                     X_WF,
                     frame.CalcPoseInWorld(context).GetAsMatrix34(),
@@ -126,13 +133,13 @@ class TestTwin(unittest.TestCase):
                 )
 
     def test_foreign_body_is_an_error(self):
-        layout = ProductLayout.from_config(PickAndPlace(products=3))
+        objects = find_products(PickAndPlace(products=3))
         body = self.plant.GetBodyByName(
             "product", self.plant.GetModelInstanceByName("product_5")
         )
         with self.assertRaisesRegex(UserError, "product"):
             mut.TwinPoses.from_plant(
-                self.plant, layout=layout, frames=[body.body_frame()]
+                self.plant, objects=objects, frames=[body.body_frame()]
             )
 
 
@@ -152,14 +159,14 @@ class TestSensorsAreOutside(unittest.TestCase):
         diagram = builder.Build()
         context = diagram.CreateDefaultContext()
         kinematics = ArmKinematics.from_plant(plant)
-        layout = ProductLayout.from_config(PickAndPlace())
+        objects = find_products(PickAndPlace())
         path = make_program_path(PickAndPlace(), kinematics)
         frames = [
             plant.GetFrameByName(f"{name}_ring_{j}")
             for name in RINGS
             for j in range(16)
         ]
-        twin = mut.TwinPoses.from_plant(plant, layout=layout, frames=frames)
+        twin = mut.TwinPoses.from_plant(plant, objects=objects, frames=frames)
         inspector = scene_graph.model_inspector()
         own = {
             ring: {
@@ -184,22 +191,20 @@ class TestSensorsAreOutside(unittest.TestCase):
         )
         for s in times[(times > 0) & (times < duration)]:
             q = path.calc_motion(s)[0]
-            closed = path.calc_gripper_closed(s)
-            placed = path.calc_products_placed(s)
+            carried = path.calc_carried_objects(s)
             diagram.GetInputPort("positions").FixValue(
                 context,
                 _calc_positions(
-                    layout=layout,
+                    objects=objects,
                     kinematics=kinematics,
                     q=q,
-                    gripper_closed=closed,
-                    products_placed=placed,
+                    carried=carried,
                 ),
             )
             query = scene_graph.get_query_output_port().Eval(
                 scene_graph.GetMyContextFromRoot(context)
             )
-            X_WS = twin.calc(q, closed, placed)
+            X_WS = twin.calc(q, carried)
             for i in range(len(frames)):
                 found = query.ComputeSignedDistanceToPoint(
                     X_WS[i, :, 3], threshold=0.3

@@ -243,8 +243,7 @@ class TestMonitorBehindTheLink(unittest.TestCase):
         for name, value in (
             ("position_measured", [0.0, -1.6, 1.0, -1.0, -1.57, 0.0]),
             ("velocity_measured", np.zeros(6)),
-            ("gripper_closed", [0.0]),
-            ("products_placed", [0.0]),
+            ("carried_objects", np.zeros(10)),
         ):
             source = builder.AddSystem(ConstantVectorSource(value))
             builder.Connect(

@@ -8,8 +8,9 @@ from pydrake.systems.primitives import (
     ConstantValueSource,
     ConstantVectorSource,
 )
-from robot_room import make_robot, serve
+from robot_room import make_path, make_robot, serve
 
+from tofssm_drake.carried_objects import ON_TOOL
 from tofssm_drake.errors import UserError
 from tofssm_drake.messages import RobotReport, SliderCommand
 from tofssm_drake.rtde.robot_connection import (
@@ -152,8 +153,8 @@ class TestSubscriber(unittest.TestCase):
 
 
 class TestReceiver(unittest.TestCase):
-    def calc(self, report, **settings):
-        dut = mut.RobotReportReceiver(**settings)
+    def calc(self, report, path=None, **settings):
+        dut = mut.RobotReportReceiver(path=path or make_path(), **settings)
         context = dut.CreateDefaultContext()
         dut.get_input_port().FixValue(context, report)
         return {
@@ -179,7 +180,7 @@ class TestReceiver(unittest.TestCase):
                 speed_scaling=0.9,
             ),
             gripper_output=3,
-            products=5,
+            path=make_path(5),
         )
         for i, name in enumerate(
             (
@@ -192,7 +193,6 @@ class TestReceiver(unittest.TestCase):
         ):
             np.testing.assert_array_equal(ports[name], six + i)
         for name, value in (
-            ("gripper_closed", 1.0),
             ("products_placed", 4.0),
             ("task_done", 0.0),
             ("target_speed_fraction", 0.3),
@@ -200,11 +200,14 @@ class TestReceiver(unittest.TestCase):
         ):
             with self.subTest(name=name):
                 self.assertEqual(ports[name].tolist(), [value])
+        np.testing.assert_array_equal(
+            ports["carried_objects"], [1, 1, 1, 1, ON_TOOL]
+        )
 
     def test_what_is_not_reported(self):
         ports = self.calc(RobotReport())
         self.assertTrue(np.isnan(ports["position_measured"]).all())
-        self.assertEqual(ports["gripper_closed"], [0])
+        np.testing.assert_array_equal(ports["carried_objects"], [0, 0])
         self.assertEqual(ports["products_placed"], [0])
         self.assertEqual(ports["task_done"], [0])
 
@@ -212,9 +215,8 @@ class TestReceiver(unittest.TestCase):
         ports = self.calc(
             make_report(0, digital_outputs=0b110111, products_placed=2),
             gripper_output=3,
-            products=2,
         )
-        self.assertEqual(ports["gripper_closed"], [0])
+        np.testing.assert_array_equal(ports["carried_objects"], [1, 1])
         self.assertEqual(ports["task_done"], [1])
 
 

@@ -7,7 +7,13 @@ from pydrake.common.eigen_geometry import Quaternion
 from pydrake.math import RotationMatrix
 
 import tofssm_drake.tasks.products as mut
-from tofssm_drake.tasks.program import PickAndPlace, make_program_path
+from tofssm_drake.tasks.program import (
+    PickAndPlace,
+    calc_pick_slots,
+    calc_place_slots,
+    list_places,
+    make_program_path,
+)
 
 
 @functools.cache
@@ -20,32 +26,28 @@ def make_path():
     return make_program_path(PickAndPlace(), make_kinematics())
 
 
-def calc(s, *, closed=None, placed=None):
+def calc(s, carried=None):
     path = make_path()
-    return mut.calc_product_positions(
-        layout=mut.ProductLayout.from_config(PickAndPlace()),
+    return mut.calc_object_positions(
+        objects=path.objects,
         kinematics=make_kinematics(),
         q=path.calc_motion(s)[0],
-        gripper_closed=path.calc_gripper_closed(s)
-        if closed is None
-        else closed,
-        products_placed=path.calc_products_placed(s)
-        if placed is None
-        else placed,
+        carried=path.calc_carried_objects(s) if carried is None else carried,
     )
 
 
 class TestProductPositions(unittest.TestCase):
     def setUp(self):
-        self.layout = mut.ProductLayout.from_config(PickAndPlace())
+        self.pick_slots = calc_pick_slots(PickAndPlace())
+        self.place_slots = calc_place_slots(PickAndPlace())
 
     def test_before_and_after(self):
         np.testing.assert_allclose(
-            calc(0.0)[:, 4:], self.layout.pick_slots, atol=1e-12
+            calc(0.0)[:, 4:], self.pick_slots, atol=1e-12
         )
         np.testing.assert_allclose(
             calc(make_path().duration)[:, 4:],
-            self.layout.place_slots,
+            self.place_slots,
             atol=1e-12,
         )
 
@@ -61,10 +63,10 @@ class TestProductPositions(unittest.TestCase):
         np.testing.assert_allclose(R_WP[:, 0], X_WT[:, 0], atol=1e-12)
         np.testing.assert_allclose(R_WP[:, 2], [0, 0, 1], atol=1e-9)
         np.testing.assert_allclose(
-            positions[:4, 4:], self.layout.place_slots[:4], atol=1e-12
+            positions[:4, 4:], self.place_slots[:4], atol=1e-12
         )
         np.testing.assert_allclose(
-            positions[5:, 4:], self.layout.pick_slots[5:], atol=1e-12
+            positions[5:, 4:], self.pick_slots[5:], atol=1e-12
         )
 
     def test_no_jump(self):
@@ -79,9 +81,12 @@ class TestProductPositions(unittest.TestCase):
             np.testing.assert_allclose(same, 1, atol=1e-9)
 
     def test_beyond_the_last(self):
-        positions = calc(0.0, closed=1.0, placed=10)
+        carried = make_path().find_carried_objects(
+            products_placed=10, gripper_closed=True
+        )
+        positions = calc(0.0, carried)
         np.testing.assert_allclose(
-            positions[:, 4:], self.layout.place_slots, atol=1e-12
+            positions[:, 4:], self.place_slots, atol=1e-12
         )
 
     def test_quaternions(self):
@@ -111,13 +116,14 @@ class TestProductPositions(unittest.TestCase):
         np.testing.assert_array_equal(positions[:, 4:], X[:, :, 3])
 
 
-class TestProductCarrier(unittest.TestCase):
+class TestObjectCarrier(unittest.TestCase):
     def test_ports_and_value(self):
-        layout = mut.ProductLayout.from_config(PickAndPlace())
-        dut = mut.ProductCarrier(layout=layout, kinematics=make_kinematics())
+        dut = mut.ObjectCarrier(
+            objects=make_path().objects, kinematics=make_kinematics()
+        )
         self.assertEqual(
-            [dut.get_input_port(i).get_name() for i in range(3)],
-            ["position_measured", "gripper_closed", "products_placed"],
+            [dut.get_input_port(i).get_name() for i in range(2)],
+            ["position_measured", "carried_objects"],
         )
         context = dut.CreateDefaultContext()
         path = make_path()
@@ -125,7 +131,8 @@ class TestProductCarrier(unittest.TestCase):
         dut.GetInputPort("position_measured").FixValue(
             context, path.calc_motion(s)[0]
         )
-        dut.GetInputPort("gripper_closed").FixValue(context, [1.0])
-        dut.GetInputPort("products_placed").FixValue(context, [2.0])
-        actual = dut.GetOutputPort("product_positions").Eval(context)
+        dut.GetInputPort("carried_objects").FixValue(
+            context, list_places(10)[5]
+        )
+        actual = dut.GetOutputPort("object_positions").Eval(context)
         np.testing.assert_array_equal(actual.reshape(-1, 7), calc(s))

@@ -344,6 +344,7 @@ class TestTaskProgram(unittest.TestCase):
                 "velocity_commanded",
                 "acceleration_commanded",
                 "gripper_closed",
+                "carried_objects",
                 "products_placed",
                 "task_done",
             ],
@@ -400,10 +401,15 @@ class TestTaskProgram(unittest.TestCase):
             )
 
     def read_registers(self, dut, context):
-        return [
+        closed, placed, done = (
             dut.GetOutputPort(name).Eval(context)[0]
             for name in ("gripper_closed", "products_placed", "task_done")
-        ]
+        )
+        carried = dut.GetOutputPort("carried_objects").Eval(context)
+        np.testing.assert_array_equal(
+            carried, mut.list_places(10)[int(2 * placed + closed)]
+        )
+        return [closed, placed, done]
 
     def update_at(self, progress, fraction=1.0, period=0.008):
         """Returns the registers after a tick, one period after the last."""

@@ -168,15 +168,20 @@ def make_mask_fan(
 
 
 class Twin(Protocol):
-    """The monitor's own model of the robot, what it holds, and its cell."""
+    """The monitor's own model of the robot, what it carries, and its cell."""
 
     num_joints: int
     """Of the robot, j."""
+    num_objects: int
+    """Number of objects that it may carry, p."""
 
-    def calc(
-        self, q: np.ndarray, gripper_closed: float, products_placed: float
-    ) -> np.ndarray:
-        """Returns X_WF of the mask's ray caster's frames, (frames, 3, 4)."""
+    def calc(self, q: np.ndarray, carried: np.ndarray) -> np.ndarray:
+        """Returns X_WF of the mask's ray caster's frames, (frames, 3, 4).
+
+        Args:
+            q: Joint positions, rad or m, (j,).
+            carried: Place of each object, or ON_TOOL, (p,).
+        """
 
 
 _CLEAR = int(Reading.CLEAR)
@@ -198,33 +203,35 @@ _STILL = 0.05
 # A shorter lag is rounding, s.
 _NO_LAG = 1e-6
 
-# Columns of the history's table: time, positions and velocities of the j
-# joints, and at its end these.
+# First column of the history's table, before positions and velocities of the
+# j joints and the places of the p objects.
 _TIME = 0
-_GRIPPER_CLOSED, _PRODUCTS_PLACED = -2, -1
 
 
-def calc_report_size(num_joints: int) -> int:
+def calc_report_size(num_joints: int, num_objects: int) -> int:
     """Returns the size of a robot's report.
 
-    It has position and velocity of the joints, rad and rad/s (m and m/s),
-    gripper closed, and products placed.
+    It has position and velocity of the j joints, rad and rad/s (m and m/s),
+    and the place of each of p objects, or ON_TOOL.
     """
-    return 2 * num_joints + 2
+    return 2 * num_joints + num_objects
 
 
-def make_robot_history(length: int, num_joints: int) -> np.ndarray:
+def make_robot_history(
+    length: int, num_joints: int, num_objects: int
+) -> np.ndarray:
     """Returns an empty history of the robot's reports.
 
     Args:
         length: h, number of control ticks.
         num_joints: j.
+        num_objects: p.
 
     Returns:
         Oldest first: time, s (-inf in unused rows), position, rad or m, (j),
-        velocity, (j), gripper closed, products placed; (h, 3 + 2 j).
+        velocity, (j), place of each object, (p); (h, 1 + 2 j + p).
     """
-    table = np.zeros((length, 1 + calc_report_size(num_joints)))
+    table = np.zeros((length, 1 + calc_report_size(num_joints, num_objects)))
     table[:, _TIME] = -np.inf
     return table
 
@@ -236,7 +243,7 @@ def push_report(table, time, report):
     Args:
         table: changed in place.
         time: of the report, s.
-        report: the other columns, (2 + 2 j,).
+        report: the other columns, (2 j + p,).
     """
     table[:-1] = table[1:]
     table[-1, 0] = time
@@ -244,12 +251,12 @@ def push_report(table, time, report):
 
 
 @njit(cache=True)
-def interpolate_reports(table, time):
+def interpolate_reports(table, time, joints):
     """Returns the robot's report for a time, as a row of the table.
 
-    Joints and their speeds are interpolated linearly; gripper and products are
-    those of the last report before. Outside the history's span it is the oldest
-    or the newest report.
+    The joints, of which there are `joints`, and their speeds are interpolated
+    linearly; objects are where the last report before has them. Outside the
+    history's span it is the oldest or the newest report.
     """
     last = table.shape[0] - 1
     i = last
@@ -258,7 +265,7 @@ def interpolate_reports(table, time):
     result = table[i].copy()
     if i < last and table[i, 0] <= time:
         s = (time - table[i, 0]) / (table[i + 1, 0] - table[i, 0])
-        for j in range(table.shape[1] - 2):
+        for j in range(1 + 2 * joints):
             result[j] += s * (table[i + 1, j] - table[i, j])
     return result
 
@@ -406,7 +413,7 @@ def _report_motion(samples, table, n, motion):
                 continue
             motion[:, i] = 0.0
             if math.isfinite(time):
-                report = interpolate_reports(table, time)
+                report = interpolate_reports(table, time, joints)
                 motion[0, i] = report[1 : joints + 1]
                 motion[1, i] = report[joints + 1 : 2 * joints + 1]
                 for v in motion[1, i]:
@@ -468,16 +475,17 @@ def _begin(samples, table, n, time, limits, motion, verdict, unsettled):
 
 
 @njit(cache=True)
-def _begin_look(samples, table, shift, rest, which, report):
+def _begin_look(samples, table, joints, shift, rest, which, report):
     """Takes the sensors that sampled at the same time out of the rest.
 
     Args:
         samples: the table, (15, N).
         table: the robot's reports, see `make_robot_history`.
+        joints: their number.
         shift: how much later than at the sample to look at the robot, s.
         rest: the sensors to choose from, (N,); the chosen ones are taken out.
         which: result, the chosen ones, (N,).
-        report: result, the robot's report for their time, (3 + 2 j,).
+        report: result, the robot's report for their time, (1 + 2 j + p,).
 
     Returns:
         Whether any are left.
@@ -492,7 +500,7 @@ def _begin_look(samples, table, shift, rest, which, report):
             which[i] = samples[_SENSOR_TIME, i] == time
             rest[i] = not which[i]
             more = more or rest[i]
-    report[:] = interpolate_reports(table, time + shift)
+    report[:] = interpolate_reports(table, time + shift, joints)
     return more
 
 
@@ -525,7 +533,7 @@ def _remember(
         is_proven: whether each sensor's ring sees the robot where it must,
             (N,).
         time: now, s.
-        report: what the robot reported last, (15,).
+        report: what the robot reported last, (1 + 2 j + p,).
         is_dead: whether each sensor is declared dead, (N,).
         memory: the settings of SensorMemoryConfig in their order.
         motion: of the robot, (2, N, j); HELD sensors get that of now.
@@ -638,7 +646,7 @@ def mask_scans(
     tables = _Tables(
         samples=_make_no_samples(num_sensors).copy(),
         verdict=np.zeros((_VERDICT_ROWS, num_sensors), dtype=np.int64),
-        motion=np.empty((2, num_sensors, (table.shape[1] - 3) // 2)),
+        motion=np.empty((2, num_sensors, twin.num_joints)),
         sensors_per_ring=n,
     )
     newest = [
@@ -706,12 +714,9 @@ class _View(NamedTuple):
             Self-hits, m, (N, k), and whether any sensors are left.
         """
         report = np.empty(self.table.shape[1])
-        more = _begin_look(samples, self.table, shift, rest, which, report)
-        X_WF = self.twin.calc(
-            report[1 : report.size // 2],
-            report[_GRIPPER_CLOSED],
-            report[_PRODUCTS_PLACED],
-        )
+        n = self.twin.num_joints
+        more = _begin_look(samples, self.table, n, shift, rest, which, report)
+        X_WF = self.twin.calc(report[1 : n + 1], report[2 * n + 1 :])
         self_distance, _ = self.caster.cast_bundles(bundles, X_WF, which)
         return self_distance, more
 
@@ -1009,13 +1014,16 @@ class OcclusionMask(LeafSystem):
             for ring in name
         ]
         self._report = self.DeclareVectorInputPort(
-            "robot_report", calc_report_size(twin.num_joints)
+            "robot_report",
+            calc_report_size(twin.num_joints, twin.num_objects),
         )
         # The history includes every sample that is not stale, and the look
         # back from it.
         length = math.ceil((config.max_age + config.time_margin) / period) + 2
         self._history = self.DeclareDiscreteState(
-            make_robot_history(length, twin.num_joints).ravel()
+            make_robot_history(
+                length, twin.num_joints, twin.num_objects
+            ).ravel()
         )
         # Of the masked scans: cheaper to read than from the messages.
         self._sequence = self.DeclareDiscreteState([-1.0] * len(name))

@@ -1,14 +1,28 @@
 """Which sensors can be verified during a task by seeing the robot."""
 
+from typing import Protocol
+
 import numpy as np
 
 from tofssm_drake.perception.self_hit_watch import Look, SelfHitModel, expect
 from tofssm_drake.perception.self_hits import make_no_expectation, must_see
-from tofssm_drake.tasks.program import ProgramPath
+
+
+class Motion(Protocol):
+    """What is known of a task: where the robot is when, and what it carries."""
+
+    duration: float
+    """Path time at the end, s."""
+
+    def calc_motion(self, s: float) -> np.ndarray:
+        """Returns joints, their speeds and accelerations, (3, j)."""
+
+    def calc_carried_objects(self, s: float) -> np.ndarray:
+        """Returns the place of each object, or ON_TOOL, (p,)."""
 
 
 def calc_verifiable_share(
-    model: SelfHitModel, path: ProgramPath, *, step: float = 0.1
+    model: SelfHitModel, path: Motion, *, step: float = 0.1
 ) -> np.ndarray:
     """Returns the part of a task in which each sensor must see the robot.
 
@@ -35,8 +49,7 @@ def calc_verifiable_share(
             q=q,
             qd=qd,
             spread=0.0,
-            gripper_closed=float(path.calc_gripper_closed(time)),
-            products_placed=float(path.calc_products_placed(time)),
+            carried=path.calc_carried_objects(time),
         )
         expectation = make_no_expectation(m * n)
         expect(model, look, model.believed, expectation)

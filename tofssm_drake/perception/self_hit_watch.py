@@ -70,9 +70,9 @@ _STILL = 0.05
 # tolerance in that time).
 _SPREAD = 0.006
 
-# For this long after gripper or product count has changed, it is uncertain what
-# the robot carried at a sample's time, s (*assumed*: more than a sample's
-# greatest age).
+# For this long after an object was taken or let go, it is uncertain what the
+# robot carried at a sample's time, s (*assumed*: more than a sample's greatest
+# age).
 _UNCERTAIN = 0.1
 
 # One in this many looks at a robot that has not moved counts.
@@ -235,13 +235,13 @@ class SelfHitState:
     sequence: np.ndarray
     """Of the last scan of each ring, (m,); -1: none."""
     carried: np.ndarray
-    """Gripper closed, products placed, and when one changed, s, (3,)."""
+    """Place of each object, or ON_TOOL, and when one changed, s, (p + 1,)."""
     rest: np.ndarray
     """Number of looks at a robot that had not moved, (1,)."""
 
 
 @functools.lru_cache(maxsize=8)
-def _lay_out(rings, sensors, tests, joints):
+def _lay_out(rings, sensors, tests, joints, objects):
     """Returns the place of each field in the vector, and its shape."""
     shapes = {
         "sensor_alarm": (sensors,),
@@ -257,7 +257,7 @@ def _lay_out(rings, sensors, tests, joints):
         "position": (sensors, joints),
         "time": (sensors,),
         "sequence": (rings,),
-        "carried": (3,),
+        "carried": (objects + 1,),
         "rest": (1,),
     }
     sizes = [math.prod(shape) for shape in shapes.values()]
@@ -273,7 +273,13 @@ def _lay_out(rings, sensors, tests, joints):
 def _lay_out_model(model):
     m = len(model.name)
     tests = m * len(model.orders) + len(model.swaps) + len(model.misfits)
-    return _lay_out(m, model.believed.num_bundles, tests, model.twin.num_joints)
+    return _lay_out(
+        m,
+        model.believed.num_bundles,
+        tests,
+        model.twin.num_joints,
+        model.twin.num_objects,
+    )
 
 
 def make_state_vector(model: SelfHitModel) -> np.ndarray:
@@ -285,7 +291,7 @@ def make_state_vector(model: SelfHitModel) -> np.ndarray:
     state.position[:] = np.inf
     state.time[:] = -np.inf
     state.sequence[:] = -1.0
-    state.carried[2] = -np.inf
+    state.carried[-1] = -np.inf
     return vector
 
 
@@ -324,8 +330,8 @@ class Look:
     """Their speeds, rad/s, (j,)."""
     spread: float
     """Greatest difference of a sample's time from the look's, s."""
-    gripper_closed: float
-    products_placed: float
+    carried: np.ndarray
+    """Place of each object, or ON_TOOL, (p,)."""
 
 
 def make_looks(
@@ -339,7 +345,7 @@ def make_looks(
     Args:
         masked_scans: of m rings of n sensors each.
         counted_time: of each sensor's last sample that counted, s, (N,).
-        carried: gripper closed and products placed, (2,).
+        carried: place of each object, or ON_TOOL, (p,).
         is_dead: sensors that do not count, (N,).
 
     Returns:
@@ -386,8 +392,7 @@ def make_looks(
                 q=q,
                 qd=qd,
                 spread=0.5 * float(np.ptp(time[sampled])),
-                gripper_closed=float(carried[0]),
-                products_placed=float(carried[1]),
+                carried=carried,
             )
         )
     return looks
@@ -430,7 +435,7 @@ def expect(
     """
     q = look.q + shift * look.qd
     q[0] += offset
-    X_WF = model.twin.calc(q, look.gripper_closed, look.products_placed)
+    X_WF = model.twin.calc(q, look.carried)
     distance, _ = model.caster.cast_bundles(
         bundles, X_WF, look.which if which is None else which
     )
@@ -711,7 +716,8 @@ class SelfHitWatch(LeafSystem):
             for ring in model.name
         ]
         self._report = self.DeclareVectorInputPort(
-            "robot_report", calc_report_size(model.twin.num_joints)
+            "robot_report",
+            calc_report_size(model.twin.num_joints, model.twin.num_objects),
         )
         vector = make_state_vector(model)
         state = view_state(model, vector)
@@ -746,15 +752,15 @@ class SelfHitWatch(LeafSystem):
         )
         sequence = [scan.raw.sequence for scan in masked_scans]
         report = self._report.Eval(context)
-        carried = report[-2:]
-        has_changed = carried.tolist() != state.carried[:2].tolist()
+        carried = report[2 * self._model.twin.num_joints :]
+        has_changed = carried.tolist() != state.carried[:-1].tolist()
         if sequence == state.sequence.tolist() and not has_changed:
             return EventStatus.DidNothing()
         state.sequence[:] = sequence
         if has_changed:
-            state.carried[:2] = carried
-            state.carried[2] = context.get_time()
-        if context.get_time() < state.carried[2] + _UNCERTAIN:
+            state.carried[:-1] = carried
+            state.carried[-1] = context.get_time()
+        if context.get_time() < state.carried[-1] + _UNCERTAIN:
             return EventStatus.Succeeded()
         moved = np.abs(report[: state.position.shape[1]] - state.position).max()
         if moved < self._model.config.min_motion:

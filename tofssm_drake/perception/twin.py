@@ -16,23 +16,17 @@ from tofssm_drake.arms.kinematics import (
     Chain,
     calc_link_poses,
 )
+from tofssm_drake.carried_objects import CarriableObjects, calc_object_pose
 from tofssm_drake.errors import UserError
 from tofssm_drake.kernels import njit
-from tofssm_drake.tasks.products import (
-    ProductLayout,
-    calc_carried_pose,
-    calc_product_poses,
-)
 
 _KIND = 12
 """Column of a frame's kind, after its pose row by row."""
 
 
 @njit(cache=True)
-def calc_twin_poses(
-    chain, X_AT, slots, frames, q, gripper_closed, products_placed, X_WF
-):
-    """Poses frames that stand still, ride on the robot or are products.
+def calc_twin_poses(chain, X_AT, X_TO, X_WO, frames, q, carried, X_WF):
+    """Poses frames that stand still, ride on the robot or are on objects.
 
     What is fixed comes in few arrays: each one costs a fraction of a
     microsecond on the way into compiled code.
@@ -41,25 +35,21 @@ def calc_twin_poses(
         chain: The robot's, as in `calc_link_poses`.
         X_AT: Pose of the tool centre point in the last link, row by row,
             (12,).
-        slots: Poses of the p products before they are picked and in the box,
-            (2, p, 3, 4).
+        X_TO: Of `CarriableObjects`, as the next.
+        X_WO: The objects' places.
         frames: Of each frame its pose in world, in its link, or in its
-            product, row by row, and its kind: -1 stands still, 0 to n rides
-            on that link, n + 1 + i is product i; (f, 13).
+            object, row by row, and its kind: -1 stands still, 0 to n rides
+            on that link, n + 1 + i is object i; (f, 13).
         q: Joint positions, rad or m, (n,).
-        gripper_closed: More than 0.5 is closed.
-        products_placed: How many products are in the box.
+        carried: Place of each object, or ON_TOOL, (p,).
         X_WF: Changed, (f, 3, 4).
     """
     n = q.shape[0]
     X_WA = np.empty((n + 1, 3, 4))
     calc_link_poses(chain, q, X_WA)
-    placed = round(products_placed)
+    X_WT = np.empty((3, 4))
+    _multiply(X_WA[n], X_AT, X_WT)
     X_WP = np.empty((3, 4))
-    if gripper_closed > 0.5 and placed < slots.shape[1]:
-        X_WT = np.empty((3, 4))
-        _multiply(X_WA[n], X_AT, X_WT)
-        calc_carried_pose(X_WT, X_WP)
     for f in range(frames.shape[0]):
         kind = int(frames[f, _KIND])
         X_AF = frames[f]
@@ -70,12 +60,10 @@ def calc_twin_poses(
                     X_WF_f[i, j] = X_AF[4 * i + j]
         elif kind <= n:
             _multiply(X_WA[kind], X_AF, X_WF_f)
-        elif kind - n - 1 < placed:
-            _multiply(slots[1, kind - n - 1], X_AF, X_WF_f)
-        elif kind - n - 1 == placed and gripper_closed > 0.5:
-            _multiply(X_WP, X_AF, X_WF_f)
         else:
-            _multiply(slots[0, kind - n - 1], X_AF, X_WF_f)
+            i = kind - n - 1
+            calc_object_pose(X_TO, X_WO, i, carried[i], X_WT, X_WP)
+            _multiply(X_WP, X_AF, X_WF_f)
 
 
 @njit(cache=True)
@@ -91,27 +79,33 @@ def _multiply(X_AB, X_BC, X_AC):
 
 @dc.dataclass(frozen=True, eq=False, kw_only=True)
 class TwinPoses:
-    """Poses the twin's frames from joints, gripper and product count.
+    """Poses the twin's frames from joints and carried objects.
 
     Made by `from_plant`; one compiled call per set of poses, no context.
     """
 
     chain: Chain
-    """As in `calc_twin_poses`, like the next three."""
+    """As in `calc_twin_poses`, like the next two."""
     X_AT: np.ndarray
-    slots: np.ndarray
     frames: np.ndarray
+    objects: CarriableObjects
+    """That the robot may carry."""
 
     @property
     def num_joints(self) -> int:
         """Number of the robot's joints."""
         return len(self.chain.slides)
 
+    @property
+    def num_objects(self) -> int:
+        """Number of objects that the robot may carry."""
+        return len(self.objects)
+
     @staticmethod
     def from_plant(
         plant: MultibodyPlant,
         *,
-        layout: ProductLayout,
+        objects: CarriableObjects,
         frame_ids: list | None = None,
         frames: list | None = None,
         kinematics: ArmKinematics | None = None,
@@ -120,7 +114,7 @@ class TwinPoses:
 
         Args:
             plant: Finalized, from `make_twin_plant`.
-            layout: Slots of the plant's products.
+            objects: Those of the plant.
             frame_ids: SceneGraph frames to pose, e.g. a ray caster's; their
                 plant must be registered with that SceneGraph.
             frames: Or plant frames to pose.
@@ -128,7 +122,7 @@ class TwinPoses:
 
         Raises:
             UserError: If a frame is neither fixed in the cell, nor a part of
-                the robot, nor a product of the layout.
+                the robot, nor one of the objects.
         """
         kinematics = kinematics or ArmKinematics.from_plant(plant)
         if frames is None:
@@ -136,23 +130,21 @@ class TwinPoses:
         return TwinPoses(
             chain=kinematics.chain,
             X_AT=kinematics.X_AS[-1].ravel(),
-            slots=_calc_slots(layout),
-            frames=_fix_frames(plant, frames, len(layout)),
+            frames=_fix_frames(plant, frames, len(objects)),
+            objects=objects,
         )
 
     def calc(
         self,
         q: np.ndarray,
-        gripper_closed: float,
-        products_placed: float,
+        carried: np.ndarray,
         X_WF: np.ndarray | None = None,
     ) -> np.ndarray:
         """Returns X_WF (f, 3, 4).
 
         Args:
             q: Joint positions, rad or m, (n,).
-            gripper_closed: More than 0.5 is closed.
-            products_placed: How many products are in the box.
+            carried: Place of each object, or ON_TOOL, (p,).
             X_WF: Where to write, if given.
         """
         if X_WF is None:
@@ -160,11 +152,11 @@ class TwinPoses:
         calc_twin_poses(
             self.chain,
             self.X_AT,
-            self.slots,
+            self.objects.X_TO,
+            self.objects.X_WO,
             self.frames,
             q,
-            float(gripper_closed),
-            float(products_placed),
+            carried,
             X_WF,
         )
         return X_WF
@@ -181,30 +173,12 @@ def _find_frames(plant, frame_ids):
     return frames
 
 
-def _calc_slots(layout):
-    """Returns `slots` as in `calc_twin_poses`."""
-    X_WT = np.zeros((3, 4))
-    slots = np.empty((2, len(layout), 3, 4))
-    for X_WP, placed in zip(slots, (0, len(layout)), strict=True):
-        calc_product_poses(
-            layout.pick_slots,
-            layout.place_slots,
-            layout.pick_yaw,
-            layout.place_yaw,
-            placed,
-            False,
-            X_WT,
-            X_WP,
-        )
-    return slots
-
-
-def _fix_frames(plant, frames, products):
+def _fix_frames(plant, frames, objects):
     """Returns `frames` as in `calc_twin_poses`."""
     links = find_chain(plant)
     n = len(links.joints)
     context = links.context
-    product_of = _find_products(plant, products)
+    object_of = _find_objects(plant, objects)
     rows = np.empty((len(frames), _KIND + 1))
     for row, frame in zip(rows, frames, strict=True):
         body = frame.body()
@@ -212,8 +186,8 @@ def _fix_frames(plant, frames, products):
         if link:
             row[_KIND] = link
             X_AF = links.calc_pose_in_link(frame, link)
-        elif body.index() in product_of:
-            i = product_of[body.index()]
+        elif body.index() in object_of:
+            i = object_of[body.index()]
             row[_KIND] = n + 1 + i
             X_AF = frame.CalcPoseInBodyFrame(context)
         elif plant.IsAnchored(body):
@@ -222,17 +196,17 @@ def _fix_frames(plant, frames, products):
             X_AF = frame.CalcPoseInWorld(context)
         else:
             raise UserError(
-                f"twin: body {body.name()} is neither robot, cell nor product"
+                f"twin: body {body.name()} is neither robot, cell nor object"
             )
         row[:_KIND] = X_AF.GetAsMatrix34().ravel()
     return rows
 
 
-def _find_products(plant, products):
-    """Returns the number of each product by its body's index."""
+def _find_objects(plant, objects):
+    """Returns the number of each object by its body's index."""
     return {
         plant.GetBodyByName(
             "product", plant.GetModelInstanceByName(f"product_{i}")
         ).index(): i
-        for i in range(products)
+        for i in range(objects)
     }

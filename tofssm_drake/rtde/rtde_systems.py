@@ -5,11 +5,12 @@ others are given it:
 
     RtdeInterfaceSystem    owns the connection; no ports, no state
     RtdeSubscriberSystem   the newest report, as State
-    RobotReportReceiver    report -> joints, gripper, products; pure
+    RobotReportReceiver    report -> joints, carried objects, progress; pure
     SliderControl          report, speed fraction, problem -> command
     RtdePublisherSystem    sends the command in forced publish events
 """
 
+import numpy as np
 from pydrake.common.value import Value
 from pydrake.systems.framework import (
     BasicVector,
@@ -20,7 +21,7 @@ from pydrake.systems.framework import (
 )
 
 from tofssm_drake.errors import UserError, require
-from tofssm_drake.messages import RobotReport, SliderCommand
+from tofssm_drake.messages import UR_JOINTS, RobotReport, SliderCommand
 from tofssm_drake.rtde.robot_connection import RobotConnection
 from tofssm_drake.rtde.slider import (
     SliderConfig,
@@ -28,6 +29,7 @@ from tofssm_drake.rtde.slider import (
     SliderState,
     step_slider,
 )
+from tofssm_drake.tasks.path import ProgramPath
 
 
 class RtdeInterfaceSystem(LeafSystem):
@@ -155,6 +157,27 @@ class RtdePublisherSystem(LeafSystem):
         return EventStatus.Succeeded()
 
 
+def read_carried_objects(
+    report: RobotReport, path: ProgramPath, gripper_output: int
+) -> np.ndarray:
+    """Returns where the task's objects are, by what the robot reports.
+
+    Args:
+        report: The robot's.
+        path: Of the robot's program.
+        gripper_output: Number of the digital output that closes the gripper.
+
+    Returns:
+        Place of each object, or ON_TOOL, (p,). An output that is not reported
+        counts as open: what the gripper holds is then an obstacle.
+    """
+    bits = max(report.digital_outputs, 0)
+    return path.find_carried_objects(
+        products_placed=max(report.products_placed, 0),
+        gripper_closed=bool(bits >> gripper_output & 1),
+    )
+
+
 class RobotReportReceiver(LeafSystem):
     """Splits a report into the ports of a simulated robot.
 
@@ -169,46 +192,54 @@ class RobotReportReceiver(LeafSystem):
         - acceleration_commanded
         - tcp_pose_measured
         - tcp_velocity_measured
-        - gripper_closed
+        - carried_objects
         - products_placed
         - task_done
         - target_speed_fraction
         - speed_scaling
 
     The first five are vectors of six: rad, rad/s, rad/s^2; the tool in the
-    robot's base, as `RobotReport` has it. `gripper_closed` is a bit of the
-    digital outputs, 0 or 1; `products_placed` is the register, 0 before there
-    is one; `task_done` is 1 once that is the number of products.
+    robot's base, as `RobotReport` has it. `carried_objects` follows from a bit
+    of the digital outputs and the register of products
+    (`read_carried_objects`); `products_placed` is that register, 0 before there
+    is one; `task_done` is 1 once it has counted all that the program places.
 
     Args:
+        path: Of the robot's program.
         gripper_output: Number of the digital output that closes the gripper.
-        products: Number of products that the robot's program places.
     """
 
-    def __init__(self, *, gripper_output: int = 0, products: int = 10):
+    def __init__(self, *, path: ProgramPath, gripper_output: int = 0):
         super().__init__()
         require(
             0 <= gripper_output <= 17,
             f"gripper_output: must be from 0 to 17, got {gripper_output}",
         )
-        self._gripper_output = gripper_output
-        self._products = products
+        placements = len(path.open_time)
         self._report = self.DeclareAbstractInputPort(
             "report", Value(RobotReport())
         )
         ticket = {self._report.ticket()}
         for name, size, read in (
-            ("position_measured", 6, lambda r: r.position),
-            ("velocity_measured", 6, lambda r: r.velocity),
-            ("acceleration_commanded", 6, lambda r: r.acceleration_commanded),
+            ("position_measured", UR_JOINTS, lambda r: r.position),
+            ("velocity_measured", UR_JOINTS, lambda r: r.velocity),
+            (
+                "acceleration_commanded",
+                UR_JOINTS,
+                lambda r: r.acceleration_commanded,
+            ),
             ("tcp_pose_measured", 6, lambda r: r.tcp_pose),
             ("tcp_velocity_measured", 6, lambda r: r.tcp_velocity),
-            ("gripper_closed", 1, self._is_closed),
+            (
+                "carried_objects",
+                len(path.objects),
+                lambda r: read_carried_objects(r, path, gripper_output),
+            ),
             ("products_placed", 1, lambda r: [max(r.products_placed, 0)]),
             (
                 "task_done",
                 1,
-                lambda r: [float(r.products_placed >= self._products)],
+                lambda r: [float(r.products_placed >= placements > 0)],
             ),
             ("target_speed_fraction", 1, lambda r: [r.target_speed_fraction]),
             ("speed_scaling", 1, lambda r: [r.speed_scaling]),
@@ -222,11 +253,6 @@ class RobotReportReceiver(LeafSystem):
             output.SetFromVector(read(self._report.Eval(context)))
 
         return calc
-
-    def _is_closed(self, report):
-        # Not reported counts as open: what it holds is then an obstacle.
-        bits = max(report.digital_outputs, 0)
-        return [float(bits >> self._gripper_output & 1)]
 
 
 class SliderControl(LeafSystem):

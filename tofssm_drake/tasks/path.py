@@ -10,6 +10,7 @@ import dataclasses as dc
 import numpy as np
 import ruckig
 
+from tofssm_drake.carried_objects import CarriableObjects
 from tofssm_drake.errors import UserError
 from tofssm_drake.kernels import njit
 
@@ -49,7 +50,7 @@ class ProgramPath:
     """A nominal motion over path time, with what the gripper does.
 
     Made by a task. Path time is the time it takes at speed
-    fraction 1.
+    fraction 1. The gripper closes first, then opens and closes in turn.
     """
 
     start: np.ndarray
@@ -62,6 +63,11 @@ class ProgramPath:
     """When the gripper closes on each product, s."""
     open_time: tuple[float, ...]
     """When it lets go of it, s."""
+    objects: CarriableObjects
+    """What the task carries."""
+    carried: np.ndarray
+    """Place of each object, or ON_TOOL, at first and after each of the e times
+    at which the gripper closes or opens, (e + 1, p)."""
 
     def calc_motion(self, s: float) -> np.ndarray:
         """Returns q, q', q'' at path time s, (3, n); q' = dq/ds."""
@@ -77,6 +83,28 @@ class ProgramPath:
         """Returns whether the gripper is closed at path time s."""
         closed = bisect.bisect_right(self.close_time, s)
         return closed > self.calc_products_placed(s)
+
+    def calc_carried_objects(self, s: float) -> np.ndarray:
+        """Returns each object's place, or ON_TOOL, at path time s, (p,)."""
+        return self.find_carried_objects(
+            products_placed=self.calc_products_placed(s),
+            gripper_closed=self.calc_gripper_closed(s),
+        )
+
+    def find_carried_objects(
+        self, *, products_placed: int, gripper_closed: bool
+    ) -> np.ndarray:
+        """Returns each object's place, or ON_TOOL, from what a robot reports.
+
+        Args:
+            products_placed: How often its gripper has let go.
+            gripper_closed: Whether it is closed now.
+
+        Returns:
+            Shape (p,), read-only.
+        """
+        actions = 2 * products_placed + bool(gripper_closed)
+        return self.carried[min(actions, len(self.carried) - 1)]
 
 
 class PathBuilder:
@@ -159,19 +187,25 @@ class PathBuilder:
         self.coefficients.append(piece)
         self.time += duration
 
-    def finish(self, close_time=(), open_time=()) -> ProgramPath:
+    def finish(self, close_time, open_time, objects, carried) -> ProgramPath:
         """Returns the path, at rest after its end.
 
         Args:
             close_time: When the gripper closes, s.
             open_time: When it opens again, s.
+            objects: What the task carries.
+            carried: See `ProgramPath`.
         """
         duration = self.time
         self.rest(np.inf)
+        carried = np.array(carried, dtype=float)
+        carried.setflags(write=False)
         return ProgramPath(
             start=np.array(self.start),
             coefficients=np.array(self.coefficients),
             duration=duration,
             close_time=tuple(close_time),
             open_time=tuple(open_time),
+            objects=objects,
+            carried=carried,
         )

@@ -20,6 +20,7 @@ from pydrake.systems.framework import (
 
 from tofssm_drake.arms.kinematics import ArmKinematics
 from tofssm_drake.arms.tool_down import calc_tool_down_joints
+from tofssm_drake.carried_objects import ON_TOOL, CarriableObjects
 from tofssm_drake.errors import UserError, require, require_period
 from tofssm_drake.kernels import njit
 from tofssm_drake.tasks.path import (
@@ -27,6 +28,7 @@ from tofssm_drake.tasks.path import (
     ProgramPath,
     evaluate_pieces,
 )
+from tofssm_drake.tasks.products import X_TO, make_upright_pose
 
 
 @dc.dataclass(kw_only=True)
@@ -95,6 +97,11 @@ class PickAndPlace:
     # Direction of the tool's x axis (along which the fingers close) over the
     # pick table, deg about the world's z.
     pick_yaw: float = 180.0
+
+    @property
+    def num_objects(self) -> int:
+        """How many products the cell has."""
+        return self.products
 
     def check(self, where: str) -> None:
         """Raises UserError with one line if a setting is out of range."""
@@ -197,6 +204,49 @@ def calc_place_slots(config: PickAndPlace) -> np.ndarray:
         columns=config.place_columns,
         count=config.products,
     )
+
+
+def find_products(config: PickAndPlace) -> CarriableObjects:
+    """Returns the products: each has a place on the table and one in the box.
+
+    Args:
+        config: Checked settings.
+    """
+    pick_yaw = float(np.deg2rad(config.pick_yaw))
+    place_yaw = float(np.deg2rad(config.pick_yaw + config.sweep))
+    slots = zip(calc_pick_slots(config), calc_place_slots(config), strict=True)
+    return CarriableObjects(
+        X_TO=np.tile(X_TO, (config.products, 1, 1)),
+        X_WO=np.array(
+            [
+                [
+                    make_upright_pose(pick, pick_yaw),
+                    make_upright_pose(place, place_yaw),
+                ]
+                for pick, place in slots
+            ]
+        ),
+        setting=(("pick_center", "place_center"),) * config.products,
+    )
+
+
+def list_places(products: int) -> np.ndarray:
+    """Returns the products' places after each action of the gripper.
+
+    Product i is in its place 0 until the gripper closes for the (i + 1)-th
+    time, then on the tool, and from its opening on in place 1.
+
+    Args:
+        products: Their number, p.
+
+    Returns:
+        See `ProgramPath.carried`, (2 p + 1, p).
+    """
+    carried = np.zeros((2 * products + 1, products))
+    for i in range(products):
+        carried[2 * i + 1, i] = ON_TOOL
+        carried[2 * i + 2 :, i] = 1
+    return carried
 
 
 @njit(cache=True)
@@ -320,7 +370,12 @@ def make_program_path(
         path.move(place.hover, joints=[0])
         open_time.append(_serve(path, config, kinematics, place, i))
         path.move(pick.hover, joints=[0])
-    return path.finish(close_time, open_time)
+    return path.finish(
+        close_time,
+        open_time,
+        find_products(config),
+        list_places(config.products),
+    )
 
 
 @dc.dataclass(frozen=True, eq=False, kw_only=True)
@@ -401,6 +456,7 @@ class TaskProgram(LeafSystem):
         - velocity_commanded
         - acceleration_commanded
         - gripper_closed
+        - carried_objects
         - products_placed
         - task_done
 
@@ -412,10 +468,10 @@ class TaskProgram(LeafSystem):
 
     `position_commanded`, `velocity_commanded`, `acceleration_commanded` (n,
     rad, rad/s, rad/s^2) are parts of `motion_commanded` (3 n), which costs one
-    evaluation instead of three. `gripper_closed` is 0 or 1, `products_placed`
-    counts products let go of in the box, `task_done` is 1 once the last one
-    is placed and the arm is back at its hover point; these three change at
-    ticks only, as a robot's digital output and registers do.
+    evaluation instead of three. `gripper_closed` is 0 or 1, `carried_objects`
+    says where the task's objects are (`CarriableObjects`), `products_placed`
+    counts those let go of, `task_done` is 1 once the motion has ended; these
+    four change at ticks only, as a robot's digital output and registers do.
 
     Args:
         path: The nominal motion of n joints.
@@ -451,10 +507,12 @@ class TaskProgram(LeafSystem):
                 motion,
             )
         self._gripper_closed = self.DeclareDiscreteState(1)
+        self._carried = self.DeclareDiscreteState(path.carried[0])
         self._products_placed = self.DeclareDiscreteState(1)
         self._task_done = self.DeclareDiscreteState(1)
         for name, index in (
             ("gripper_closed", self._gripper_closed),
+            ("carried_objects", self._carried),
             ("products_placed", self._products_placed),
             ("task_done", self._task_done),
         ):
@@ -494,6 +552,7 @@ class TaskProgram(LeafSystem):
         # Compared with the present values: the last tick of a stop has moved
         # the robot, too, and path time may have been set from outside.
         path = self._path
+        has_changed = False
         for index, value in (
             (self._gripper_closed, path.calc_gripper_closed(s)),
             (self._products_placed, path.calc_products_placed(s)),
@@ -501,3 +560,8 @@ class TaskProgram(LeafSystem):
         ):
             if value != discrete_state.get_value(index)[0]:
                 discrete_state.get_mutable_value(index)[0] = value
+                has_changed = True
+        if has_changed:
+            discrete_state.set_value(
+                self._carried, path.calc_carried_objects(s)
+            )

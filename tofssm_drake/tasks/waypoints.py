@@ -8,10 +8,15 @@ import numpy as np
 from tofssm_drake.arms.kinematics import ArmKinematics
 from tofssm_drake.arms.limits import ArmLimits
 from tofssm_drake.arms.tool_down import calc_tool_down_joints
+from tofssm_drake.carried_objects import ON_TOOL, CarriableObjects
 from tofssm_drake.errors import require
 from tofssm_drake.tasks.path import PathBuilder, ProgramPath
+from tofssm_drake.tasks.products import X_TO, make_upright_pose
 
 _GRIPS = ("keep", "close", "open")
+# The gripper takes what is this close to the tool centre point, m: half of a
+# product's width.
+_REACH = 0.0275
 
 
 @dc.dataclass(kw_only=True)
@@ -62,6 +67,28 @@ class Waypoint:
 
 
 @dc.dataclass(kw_only=True)
+class CarriedProduct:
+    """A product (models/workcell/product.urdf) that the gripper may take.
+
+    It is taken if its middle is at the tool centre point when the gripper
+    closes, and stays where the gripper opens.
+    """
+
+    # Its middle at first, in the world, m.
+    point: list[float] = dc.field(default_factory=list)
+
+    # Its orientation then, deg about the world's z.
+    yaw_deg: float = 0.0
+
+    def check(self, where: str) -> None:
+        """Raises UserError unless every setting is within its limits."""
+        require(
+            len(self.point) == 3,
+            f"{where}.point: {self.point} must be three numbers, m",
+        )
+
+
+@dc.dataclass(kw_only=True)
 class Waypoints:
     """Goes from waypoint to waypoint and back to the first, again and again."""
 
@@ -76,8 +103,16 @@ class Waypoints:
     # From rest to that acceleration, s.
     jerk_time: float = 0.1
 
-    # It carries nothing that sensors could see.
+    # What the gripper takes and lets go of.
+    objects: list[CarriedProduct] = dc.field(default_factory=list)
+
+    # Its motion does not count products.
     products: ClassVar[int] = 0
+
+    @property
+    def num_objects(self) -> int:
+        """How many products the cell has."""
+        return len(self.objects)
 
     def check(self, where: str) -> None:
         """Raises UserError unless every setting is within its limits."""
@@ -87,6 +122,8 @@ class Waypoints:
         )
         for i, waypoint in enumerate(self.waypoints):
             waypoint.check(f"{where}.waypoints[{i}]")
+        for i, product in enumerate(self.objects):
+            product.check(f"{where}.objects[{i}]")
         require(
             1 <= self.rounds <= 10_000,
             f"{where}.rounds: {self.rounds} must be from 1 to 10000",
@@ -117,7 +154,8 @@ def make_waypoint_path(
         where: Path of keys, for the message.
 
     Raises:
-        UserError: A waypoint is out of reach.
+        UserError: A waypoint is out of reach, or the gripper closes where no
+            object is.
     """
     targets = _find_targets(config, kinematics, limits, where)
     acceleration = config.acceleration * limits.acceleration
@@ -128,23 +166,97 @@ def make_waypoint_path(
         acceleration / config.jerk_time,
     )
     close_time, open_time = [], []
+    handling = _Handling(config.objects)
     is_closed = False
     for i in range(config.rounds * len(targets)):
-        waypoint = config.waypoints[i % len(targets)]
+        j = i % len(targets)
+        waypoint = config.waypoints[j]
         if i:
             path.limits = (waypoint.speed * limits.speed, *path.limits[1:])
-            path.move(targets[i % len(targets)])
+            path.move(targets[j])
         now = path.time + 0.5 * waypoint.dwell
+        X_WT = kinematics.calc_tcp_pose(targets[j])
         if waypoint.gripper == "close" and not is_closed:
             close_time.append(now)
+            handling.close(X_WT, f"{where}.waypoints[{j}].gripper")
             is_closed = True
         elif waypoint.gripper == "open" and is_closed:
             open_time.append(now)
+            handling.open(X_WT, f"waypoints[{j}]")
             is_closed = False
         if waypoint.dwell > 0.0:
             path.rest(waypoint.dwell)
     path.move(targets[0])
-    return path.finish(close_time, open_time)
+    return path.finish(
+        close_time, open_time, handling.make_objects(), handling.carried
+    )
+
+
+class _Handling:
+    """Where the gripper leaves the objects, action by action.
+
+    Args:
+        products: Those of the task.
+    """
+
+    def __init__(self, products):
+        self.carried = [np.zeros(len(products))]
+        """See `ProgramPath.carried`."""
+        self._places = [
+            [
+                (
+                    make_upright_pose(
+                        product.point, np.deg2rad(product.yaw_deg)
+                    ),
+                    f"objects[{i}].point",
+                )
+            ]
+            for i, product in enumerate(products)
+        ]
+
+    def close(self, X_WT, where):
+        """Closes the gripper on the object at the tool."""
+        now = self.carried[-1].copy()
+        self.carried.append(now)
+        if not self._places:
+            return
+        distance = [
+            float(np.linalg.norm(places[int(k)][0][:, 3] - X_WT[:, 3]))
+            for places, k in zip(self._places, now, strict=True)
+        ]
+        i = int(np.argmin(distance))
+        require(
+            distance[i] <= _REACH,
+            f"{where}: closes {distance[i]:.3f} m from object {i}, the "
+            f"nearest; must be within {_REACH:g} m of one",
+        )
+        now[i] = ON_TOOL
+
+    def open(self, X_WT, setting):
+        """Leaves what hangs on the tool where it is."""
+        now = self.carried[-1].copy()
+        self.carried.append(now)
+        for i in np.flatnonzero(now == ON_TOOL):
+            X_WO = X_WT[:, :3] @ X_TO
+            X_WO[:, 3] += X_WT[:, 3]
+            places = self._places[i]
+            known = [k for k, (X, _) in enumerate(places) if (X == X_WO).all()]
+            if not known:
+                places.append((X_WO, setting))
+            now[i] = known[0] if known else len(places) - 1
+
+    def make_objects(self):
+        """Returns the objects with all their places."""
+        if not self._places:
+            return CarriableObjects.make_empty()
+        k = max(map(len, self._places))
+        # An object with fewer places than others has its last one again.
+        rows = [p + [p[-1]] * (k - len(p)) for p in self._places]
+        return CarriableObjects(
+            X_TO=np.tile(X_TO, (len(rows), 1, 1)),
+            X_WO=np.array([[X for X, _ in row] for row in rows]),
+            setting=tuple(tuple(name for _, name in row) for row in rows),
+        )
 
 
 def _find_targets(config, kinematics, limits, where):
