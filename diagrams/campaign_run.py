@@ -14,10 +14,13 @@ from tofssm_drake.diagrams.scenario import (
 from tofssm_drake.diagrams.sensors.rings import find_rings
 from tofssm_drake.diagrams.simulation import Run
 from tofssm_drake.diagrams.workcell import make_workcell
+from tofssm_drake.errors import UserError
+from tofssm_drake.laws.tri_ssm_law import TriSsm
 from tofssm_drake.metrics.audit import calc_audit
 from tofssm_drake.metrics.run_metrics import calc_run_metrics
 from tofssm_drake.paper.campaign import VARIANTS, PlannedRun, make_row
 from tofssm_drake.people.bvh import BvhRecording
+from tofssm_drake.people.custom_motion import CustomMotion
 from tofssm_drake.people.walk import GeneratedWalk
 from tofssm_drake.recording.samples import write_samples
 
@@ -31,6 +34,24 @@ class Outcome:
     """Contents by file name."""
     simulated: float
     """Simulated time, s."""
+
+
+def get_tri_ssm(scenario: Scenario, where: str = "law") -> TriSsm:
+    """Returns the law, whose configurations a campaign compares.
+
+    Args:
+        scenario: The scenario.
+        where: Path of keys, for the message.
+
+    Raises:
+        UserError: It is another law.
+    """
+    if not isinstance(scenario.law, TriSsm):
+        raise UserError(
+            f"{where}: must be !TriSsm, whose configurations the campaign "
+            "compares"
+        )
+    return scenario.law
 
 
 def make_run_scenario(
@@ -48,7 +69,7 @@ def make_run_scenario(
     """
     scenario = copy.deepcopy(base)
     cell, trial = run.cell, run.trial
-    scenario.law.configuration = cell.configuration
+    get_tri_ssm(scenario).configuration = cell.configuration
     scenario.sensors = _choose_sensors(base, cell.sensing)
     if cell.variant:
         scenario = change_scenario(
@@ -59,6 +80,8 @@ def make_run_scenario(
         return scenario
     scenario.random_seed = trial.seed
     ((name, person),) = scenario.people.items()
+    if isinstance(person, CustomMotion):
+        raise UserError(f"people.{name}: must walk a figure of eight")
     path = copy.deepcopy(person.figure_eight)
     path.start = trial.start
     path.reverse = trial.reverse
@@ -94,6 +117,12 @@ def _choose_sensors(base, sensing):
     return sensors
 
 
+def _set_filename(scenario, filename):
+    for person in scenario.people.values():
+        if isinstance(person, BvhRecording):
+            person.filename = filename
+
+
 def execute(
     base: Scenario,
     run: PlannedRun,
@@ -114,8 +143,7 @@ def execute(
         if motion is not None:
             path = Path(folder) / motion[0]
             path.write_bytes(motion[1])
-            for person in scenario.people.values():
-                person.filename = str(path)
+            _set_filename(scenario, str(path))
         workcell = make_workcell(scenario)
         simulation = Run(workcell=workcell, scenario=scenario)
         progress = simulation.advance()
@@ -124,8 +152,7 @@ def execute(
         samples = simulation.make_samples()
         if motion is not None:
             # The path on this machine is of no use elsewhere.
-            for person in scenario.people.values():
-                person.filename = motion[0]
+            _set_filename(scenario, motion[0])
             samples.metadata["scenario"] = describe_scenario(scenario)
         files = {
             path.name: path.read_bytes()

@@ -24,7 +24,11 @@ from rich.progress import (
 )
 import typer
 
-from tofssm_drake.diagrams.campaign_run import execute, make_run_scenario
+from tofssm_drake.diagrams.campaign_run import (
+    execute,
+    get_tri_ssm,
+    make_run_scenario,
+)
 from tofssm_drake.diagrams.run_metadata import get_versions
 from tofssm_drake.diagrams.scenario import (
     Scenario,
@@ -35,7 +39,6 @@ from tofssm_drake.diagrams.scenario import (
 )
 from tofssm_drake.errors import require
 from tofssm_drake.laws.config import CONFIGURATIONS
-from tofssm_drake.laws.tri_ssm_law import TriSsm
 from tofssm_drake.paper.campaign import (
     SENSINGS,
     VARIANTS,
@@ -53,6 +56,7 @@ from tofssm_drake.paper.campaign import (
 )
 from tofssm_drake.paper.campaign_report import write_campaign_report
 from tofssm_drake.people.bvh import BvhRecording, make_bvh_motion
+from tofssm_drake.people.walk import GeneratedWalk
 from tofssm_drake.scripts.cluster import call_all, connect
 import tofssm_drake.scripts.options as options
 
@@ -292,21 +296,19 @@ def make_command(
 def require_free(scenario: Scenario) -> None:
     """Raises UserError if the text changes what cells or trials decide."""
     default = load_scenario()
-    require(
-        isinstance(scenario.law, TriSsm),
-        "--scenario-text: law: must be !TriSsm, whose configurations the "
-        "campaign compares",
-    )
+    law = get_tri_ssm(scenario, "--scenario-text: law")
     people = copy.deepcopy(default.people)
     for name, person in people.items():
         changed = scenario.people.get(name)
-        person.figure_eight = getattr(changed, "figure_eight", None)
+        walks = (GeneratedWalk, BvhRecording)
+        if isinstance(person, walks) and isinstance(changed, walks):
+            person.figure_eight = changed.figure_eight
     for name, same in {
         "sensors": [(n, type(s)) for n, s in scenario.sensors.items()]
         == [(n, type(s)) for n, s in default.sensors.items()],
         "random_seed": scenario.random_seed == default.random_seed,
-        "law.configuration": scenario.law.configuration
-        == default.law.configuration,
+        "law.configuration": law.configuration
+        == get_tri_ssm(default).configuration,
         "people": scenario.people == people,
     }.items():
         require(
@@ -417,7 +419,7 @@ def list_parameters(
         if not cell.variant
     }
     laws = {
-        sensing: s.law.grow(float(find_threshold_offsets(s)[0]))
+        sensing: get_tri_ssm(s).grow(float(find_threshold_offsets(s)[0]))
         for sensing, s in scenarios.items()
     }
     radii = {

@@ -58,7 +58,7 @@ class Monitor:
     kinematics: ArmKinematics
     """Of all watched links."""
     layout: ProductLayout
-    person_radii: Sequence[float] | None
+    person_radii: np.ndarray | None
     """Radii of the true person's capsules, m; for motion capture."""
     inputs: set[str] = dc.field(default_factory=set)
     """Names of the input ports so far."""

@@ -62,7 +62,8 @@ def make_cell_plant(
     plant = MultibodyPlant(time_step)
     if scene_graph is not None:
         plant.RegisterAsSourceForSceneGraph(scene_graph)
-    arm = arm or UrArm()
+    if arm is None:
+        arm = UrArm()
     parser = models.make_parser(plant)
     if cell:
         parser.AddModelsFromUrl(_URL + "workcell/cell.dmd.yaml")

@@ -6,10 +6,12 @@ two widths: wide, and narrow for a phone.
 """
 
 import math
+from typing import Any
 
 import matplotlib
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
+from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.lines import Line2D
 from matplotlib.patches import Ellipse as EllipsePatch
 from matplotlib.patches import Patch
@@ -167,7 +169,11 @@ def _draw_distance(ax, cell, run, narrow, first):
 
 _BAR = 0.26
 """Width of a bar of errors."""
-_PAPER_STYLE = {"color": BLACK, "linestyle": (0, (1, 1.2)), "linewidth": 2.0}
+_PAPER_STYLE: dict[str, Any] = {
+    "color": BLACK,
+    "linestyle": (0, (1, 1.2)),
+    "linewidth": 2.0,
+}
 _ERROR_METRICS = {
     "distance_rmse_centre_m": 0.35,
     "distance_rmse_surface_m": 1.0,
@@ -491,8 +497,8 @@ def _make_grid(samples, narrow, *, height, share=False):
             figsize=(_NARROW, height * max(len(cells), 1) + 0.8),
             layout="constrained",
         )
-        axes = figure.subplots(max(len(cells), 1), 1, squeeze=False)[:, 0]
-        return figure, dict(zip(cells, axes, strict=False))
+        column = figure.subplots(max(len(cells), 1), 1, squeeze=False)[:, 0]
+        return figure, dict(zip(cells, column, strict=False))
     figure = Figure(
         figsize=(_WIDE, height * max(len(configurations), 1) + 0.9),
         layout="constrained",
@@ -562,7 +568,8 @@ def make_radar_figure(results: Results, *, narrow: bool = False) -> Figure:
     with matplotlib.rc_context(STYLE):
         figure = Figure(
             figsize=(_NARROW, 15.0) if narrow else (_WIDE, 9.6),
-            layout="constrained",
+            # A browser's letters are wider than those measured here.
+            layout=ConstrainedLayoutEngine(w_pad=0.2),
         )
         shape = (4, 1) if narrow else (2, 2)
         axes = figure.subplots(
@@ -570,8 +577,6 @@ def make_radar_figure(results: Results, *, narrow: bool = False) -> Figure:
         )
         for ax, (title, curves) in zip(axes.ravel(), RADARS, strict=True):
             _draw_radar(ax, results, cells, title, curves)
-        # A browser's letters are wider than those measured here.
-        figure.get_layout_engine().set(w_pad=0.2)
     return figure
 
 
@@ -672,7 +677,11 @@ def make_audit_figure(results: Results, *, narrow: bool = False) -> Figure:
 
 
 def _add_shortfall_legend(ax, columns):
-    stroke = {"marker": "|", "markersize": 9, "markeredgewidth": 2}
+    stroke: dict[str, Any] = {
+        "marker": "|",
+        "markersize": 9,
+        "markeredgewidth": 2,
+    }
     handles = [
         Patch(color=BLUE, alpha=0.45, label="walking in at 1.6 m/s"),
         Patch(color=GREY, alpha=0.45, label="as Vo monitored it"),

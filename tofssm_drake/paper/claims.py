@@ -224,7 +224,9 @@ def _claim_productivity(results, key, text, pairs, *, by="sensing"):
     )
 
 
-def _claim_separation(results, key, text, metric, target, asked):
+def _claim_separation(
+    results, key, text, metric, target, asked: tuple[str, str]
+):
     """Returns a claim on the separation of Real and Ideal at events.
 
     Args:

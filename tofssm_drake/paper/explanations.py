@@ -132,7 +132,7 @@ def explain_times(
         by: What cells have in common that are compared with each other:
             sensing or configuration.
     """
-    groups = {}
+    groups: dict[str, list[Cell]] = {}
     for cell in cells:
         groups.setdefault(getattr(cell, by), []).append(cell)
     return join(
@@ -216,7 +216,8 @@ def explain_standing(
     both = [cell for cell in safety if cell in share]
     if len(both) < 2:
         return ""
-    fits, against = [], []
+    fits: list[str] = []
+    against: list[str] = []
     for pair in pairs:
         if not set(pair) <= set(both):
             continue
@@ -331,7 +332,9 @@ def explain_late(results: Results, cells: list[Cell]) -> str:
 
 def explain_real_against_ideal(results: Results) -> str:
     """Lists the laws with which the rings react before the true distance."""
-    earlier, later, studied = [], [], []
+    earlier: list[str] = []
+    later: list[str] = []
+    studied = []
     for c in CONFIGURATIONS:
         real, ideal = make_cell("tof", c), make_cell("ideal", c)
         value = results.difference(real, ideal, "reaction_time_s")
@@ -395,7 +398,9 @@ def explain_ramps(results: Results, kind: str) -> str:
         kind: `stop` or `reduce`.
     """
     metric, alike = f"time_to_{kind}_s", f"time_to_{kind}_alike_s"
-    less, stays, spreads = [], [], []
+    less: list[str] = []
+    stays: list[str] = []
+    spreads = []
     for s in SENSINGS:
         cells = make_cells((s,))
         like = _get_means(results, alike, cells)
@@ -444,7 +449,8 @@ def _conclude_greatest(effect, cause, what, agrees, differs):
         agrees: What is also true of it if it has the greatest cause.
         differs: What is true of it otherwise.
     """
-    yes, no = [], []
+    yes: list[str] = []
+    no: list[str] = []
     for s in SENSINGS:
         cells = [c for c in make_cells((s,)) if c in effect and c in cause]
         if len(cells) < 2:
@@ -512,7 +518,8 @@ def explain_chatter(results: Results) -> str:
     cells = make_cells()
     per_episode = _get_means(results, "state_changes_per_episode", cells)
     per_minute = _get_means(results, "state_changes_per_min", cells)
-    same, other = [], []
+    same: list[str] = []
+    other: list[str] = []
     for s in SENSINGS:
         known = [
             cell

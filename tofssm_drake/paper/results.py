@@ -19,9 +19,9 @@ class Results:
     """
 
     def __init__(self, rows: list[dict]):
-        self.alone = None
+        self.alone: dict | None = None
         """The row of the run without a person; None: it is missing."""
-        self._rows = {}
+        self._rows: dict[Cell, dict[int, dict]] = {}
         for row in rows:
             if row["run"] == ALONE:
                 self.alone = row
