@@ -1,6 +1,6 @@
 # Two commands on a fresh machine with python3 >= 3.11, make and git:
 #   make run     runs the default scenario and prints where the report is
-#   make test    checks format and lint, then runs the tests
+#   make test    checks format, lint and types, then runs the tests
 # More commands:
 #   make bench   measures speed
 #   make false-alarms    simulates an hour without a fault and counts alarms
@@ -41,6 +41,7 @@ hardware-demo: $(VENV)/.installed
 test: $(VENV)/.installed-test
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
+	$(BIN)/python tests/check_types.py
 	$(BIN)/python -m pytest --numprocesses auto --dist loadfile
 
 bench: $(VENV)/.installed-test

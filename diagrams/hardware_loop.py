@@ -174,6 +174,7 @@ class HardwareLoop:
         self._monitor = self._workcell.diagram.GetSubsystemByName("monitor")
         self._board = None
         self._sent = math.nan
+        self._has_begun = False
         self._begin(random_seed=0)
         self._warm_up()
         self._begin(random_seed=scenario.random_seed)

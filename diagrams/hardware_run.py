@@ -202,13 +202,16 @@ def run_in_real_time() -> Iterator[bool]:
     )
     changed = []
     for thread in threading.enumerate():
+        number = thread.native_id
+        if number is None:
+            continue
         # Not allowed, or the thread has just ended.
         with contextlib.suppress(OSError):
-            if os.sched_getscheduler(thread.native_id) == os.SCHED_OTHER:
+            if os.sched_getscheduler(number) == os.SCHED_OTHER:
                 os.sched_setscheduler(
-                    thread.native_id, real_time, os.sched_param(_PRIORITY)
+                    number, real_time, os.sched_param(_PRIORITY)
                 )
-                changed.append(thread.native_id)
+                changed.append(number)
     policy = os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK
     try:
         yield policy in (os.SCHED_FIFO, os.SCHED_RR)
@@ -368,9 +371,10 @@ class HardwareRun:
         ):
             return None
         hold_robot(self._robot, self._lowest)
-        if self._rings is not None and not _wait(
-            self._have_rings_come,
-            lambda: explain_silence(self._rings.get_status()),
+        rings = self._rings
+        if rings is not None and not _wait(
+            lambda: self._have_rings_come(rings),
+            lambda: explain_silence(rings.get_status()),
             timeout,
             tell,
             is_stopped,
@@ -443,10 +447,10 @@ class HardwareRun:
         if self._match.problem:
             raise UserError(f"robot: {self._match.problem}")
 
-    def _have_rings_come(self):
+    def _have_rings_come(self, rings):
         # Someone may have moved the slider, or the robot has restarted.
         hold_robot(self._robot, self._lowest)
-        return self._rings.wait_for_scans(_WAIT)
+        return rings.wait_for_scans(_WAIT)
 
     def _get_scans(self):
         return () if self._rings is None else self._rings.get_scans()

@@ -1,7 +1,6 @@
 """The monitor: from scans and the robot's own report to a speed fraction."""
 
-from collections.abc import Sequence
-
+import numpy as np
 from pydrake.geometry import SceneGraph
 from pydrake.systems.framework import Diagram, DiagramBuilder
 
@@ -35,7 +34,7 @@ from tofssm_drake.perception.self_hit_coverage import (
 def make_monitor(
     scenario: Scenario,
     *,
-    person_radii: Sequence[float] | None = None,
+    person_radii: np.ndarray | None = None,
 ) -> Diagram:
     """Makes the monitor, the same for a simulated and for a real cell.
 
@@ -95,7 +94,7 @@ def make_monitor(
 def make_twin(
     builder: DiagramBuilder,
     scenario: Scenario,
-    person_radii: Sequence[float] | None = None,
+    person_radii: np.ndarray | None = None,
 ) -> Monitor:
     """Makes the monitor's model of the cell, the twin.
 

@@ -157,7 +157,7 @@ class Scenario:
                 member.check(f"{at}{group}.{name}")
         for field in dc.fields(self):
             value = getattr(self, field.name)
-            if dc.is_dataclass(value):
+            if hasattr(value, "check"):
                 value.check(f"{at}{field.name}")
         self._check_ticks(at)
 

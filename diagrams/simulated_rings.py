@@ -33,18 +33,29 @@ _PAST = 1e-6
 class Report(Protocol):
     """What is needed from a robot's report."""
 
-    sequence: int
-    """-1: none yet."""
-    time: float
-    """Host's time of its arrival, s."""
-    position: np.ndarray
-    """Joints, rad, (6,)."""
-    velocity: np.ndarray
-    """Joint speeds, rad/s, (6,)."""
-    digital_outputs: int
-    """Bits, or -1."""
-    products_placed: int
-    """Number, or -1."""
+    @property
+    def sequence(self) -> int:
+        """-1: none yet."""
+
+    @property
+    def time(self) -> float:
+        """Host's time of its arrival, s."""
+
+    @property
+    def position(self) -> np.ndarray:
+        """Joints, rad, (n,)."""
+
+    @property
+    def velocity(self) -> np.ndarray:
+        """Joint speeds, rad/s, (n,)."""
+
+    @property
+    def digital_outputs(self) -> int:
+        """Bits, or -1."""
+
+    @property
+    def products_placed(self) -> int:
+        """Number, or -1."""
 
 
 def carry_on(report: Report, now: float) -> np.ndarray:

@@ -98,7 +98,10 @@ class Run:
 
     def make_samples(self) -> Samples:
         """Returns what has been recorded so far."""
-        return self._workcell.recorder.make_samples(self._context)
+        recorder = self._workcell.recorder
+        if recorder is None:
+            raise ValueError("the workcell was made without samples")
+        return recorder.make_samples(self._context)
 
 
 def make_simulator(diagram: Diagram, context: Context) -> Simulator:

@@ -12,6 +12,7 @@ import math
 import re
 import types
 import typing
+from typing import Any, NoReturn
 
 import numpy as np
 import yaml
@@ -92,7 +93,7 @@ def _check_keys(node, source, above, done):
     if any(node is other for other in above):
         fail(node, "must not contain itself")
     above = [*above, node]
-    first = {}
+    first: dict[str, int] = {}
     if isinstance(node, yaml.SequenceNode):
         for child in node.value:
             _check_keys(child, source, above, done)
@@ -137,7 +138,8 @@ def _tag_kinds(node, seen):
 
 def get_children(node: yaml.MappingNode) -> dict[str, yaml.Node]:
     """Returns a mapping's values by key, with merges (`<<`) resolved."""
-    own, merged = {}, {}
+    own: dict[str, yaml.Node] = {}
+    merged: dict[str, yaml.Node] = {}
     for key, value in node.value:
         if key.tag == _MERGE:
             parts = (
@@ -190,7 +192,7 @@ def check_yaml(
         _check_scalar(node, schema, source, where)
 
 
-def _fail(node, source, where, problem):
+def _fail(node, source, where, problem) -> NoReturn:
     """Raises UserError for a node."""
     line = node.start_mark.line + 1 if node.start_mark else 1
     raise UserError(f"{source}:{line}: {where or 'scenario'}: {problem}")
@@ -200,7 +202,7 @@ def _check_settings(node, schema, source, where):
     """Checks a mapping that must fit a dataclass."""
     if not isinstance(node, yaml.MappingNode):
         _fail(node, source, where, "must be a mapping of keys to values")
-    known = {f.name: f.type for f in dc.fields(schema)}
+    known: dict[str, Any] = {f.name: f.type for f in dc.fields(schema)}
     for key, child in get_children(node).items():
         path = f"{where}.{key}" if where else key
         if key not in known:

@@ -6,6 +6,7 @@ import logging
 import os
 from pathlib import Path
 import shutil
+from typing import Any
 
 import dask
 from distributed import Client, LocalCluster, as_completed
@@ -126,7 +127,7 @@ def _check_workers(client, scheduler):
 
 def call_all(
     client: Client, function: Callable, calls: dict[str, tuple]
-) -> Iterator[tuple[str, object, BaseException | None]]:
+) -> Iterator[tuple[str, Any, BaseException | None]]:
     """Calls a function with many sets of arguments, in parallel.
 
     Args:

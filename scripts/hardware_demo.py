@@ -135,6 +135,7 @@ def _spawn(*arguments, **options) -> Iterator[subprocess.Popen]:
 def _start(*arguments) -> Iterator[None]:
     """Starts a process, waits until it is ready, ends it afterwards."""
     with _spawn(*arguments, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None  # It is a pipe.
         line = process.stdout.readline()
         if not line:
             raise UserError(f"{arguments[0]} did not start")

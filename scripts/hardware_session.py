@@ -133,12 +133,12 @@ def run_session(settings: SessionSettings) -> int:
             recorder = stack.enter_context(RunRecorder(settings.record))
         link = _open_rings(stack, settings, recorder)
         robot = _open_robot(stack, settings, recorder)
-        waiting = {
-            "timeout": settings.wait,
-            "tell": _console.print,
-            "is_stopped": lambda: bool(stopped),
-        }
-        if not wait_for_robot(robot, **waiting):
+        if not wait_for_robot(
+            robot,
+            timeout=settings.wait,
+            tell=_console.print,
+            is_stopped=lambda: bool(stopped),
+        ):
             raise KeyboardInterrupt(_TOO_EARLY)
         _hold_slider(settings, robot)
         with interrupt_on_stop(stopped, _TOO_EARLY):
@@ -148,7 +148,11 @@ def run_session(settings: SessionSettings) -> int:
         ):
             _console.print(_NO_PRIORITY)
         run = _make_run(settings, loop, robot, link, recorder)
-        first = run.wait(**waiting)
+        first = run.wait(
+            timeout=settings.wait,
+            tell=_console.print,
+            is_stopped=lambda: bool(stopped),
+        )
         if first is None:
             raise KeyboardInterrupt(_TOO_EARLY)
         _begin(settings, loop, robot, first, recorder)

@@ -54,7 +54,7 @@ class HardwareStatus:
         self._dry_run = dry_run
         self._stream = sys.stderr if stream is None else stream
         self._changes = Changes(dry_run=dry_run)
-        self._lines = collections.deque(maxlen=_WAITING)
+        self._lines: collections.deque[str] = collections.deque(maxlen=_WAITING)
         self._result: TickResult | None = None
         self._missed = robot.get_report().missed
         self._problems = {"robot": "", "rings": ""}
@@ -110,14 +110,14 @@ class HardwareStatus:
             text = "\r\x1b[K" + text
             width = shutil.get_terminal_size().columns
             if self._result is not None:
-                text += self._describe(rings, width)
+                text += self._describe(self._result, rings, width)
         if text:
             self._stream.write(text)
             self._stream.flush()
 
-    def _describe(self, rings, width):
+    def _describe(self, result, rings, width):
         return describe_status(
-            self._result,
+            result,
             self._robot.get_report(),
             rings,
             now=time.monotonic(),
@@ -146,8 +146,8 @@ class Changes:
 
     def __init__(self, *, dry_run: bool):
         self._dry_run = dry_run
-        self._reported = None
-        self._health = None
+        self._reported: tuple | None = None
+        self._health: str | None = None
         self._stopped = False
         self._since = -math.inf
 
@@ -162,7 +162,7 @@ class Changes:
             self._since = result.time
         elif result.time - self._since >= _SETTLE:
             self._stopped = False
-        news = (self._stopped, _strip_numbers(result.problem))
+        news: tuple = (self._stopped, _strip_numbers(result.problem))
         if not self._dry_run:
             reason = _strip_numbers(result.slider.reason)
             news = (*news, result.slider.phase, reason)

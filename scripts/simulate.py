@@ -112,7 +112,7 @@ def simulate(
         print(f"note: {line}", file=sys.stderr, flush=True)
     if graphviz:
         draw_diagram(workcell.diagram, graphviz)
-    if meshcat:
+    if display is not None and meshcat:
         print(f"watch at {display.web_url()}", flush=True)
     if recording:
         start_recording(display, live=meshcat)
@@ -156,7 +156,7 @@ def write_run(
     status = Console(stderr=True).status("writing the report")
     with tell_what_is_left(out), status:
         write_results(samples, summary, out, recording=name)
-        if display:
+        if name is not None:
             write_recording(
                 display,
                 out / name,
@@ -201,12 +201,13 @@ def override(
         UserError: A value is unknown or out of range.
     """
     if ssm is not None:
-        require(
-            isinstance(scenario.law, TriSsm),
-            "--ssm: is for the law !TriSsm, the scenario has "
-            f"!{type(scenario.law).__name__}",
-        )
-        scenario.law.configuration = _choose("--ssm", ssm, CONFIGURATIONS)
+        law = scenario.law
+        if not isinstance(law, TriSsm):
+            raise UserError(
+                "--ssm: is for the law !TriSsm, the scenario has "
+                f"!{type(law).__name__}"
+            )
+        law.configuration = _choose("--ssm", ssm, CONFIGURATIONS)
     changed = {}
     if human_motion is not None:
         require(

@@ -13,7 +13,7 @@ from tofssm_drake.diagrams.simulated_rings import (
     SimulatedRings,
     iterate_wake_times,
 )
-from tofssm_drake.errors import require
+from tofssm_drake.errors import UserError, require
 from tofssm_drake.ringlink.ring_address import UdpAddress, parse_ring_address
 from tofssm_drake.ringlink.ring_device import (
     DeviceClock,
@@ -90,13 +90,7 @@ def simulated_rings(
         f"--drift: must be from -10000 to 10000 ppm, got {drift:g}",
     )
     require(duration >= 0.0, f"--duration: must be 0 or more, got {duration:g}")
-    address = None
-    if to is not None:
-        address = parse_ring_address(to, where="--to")
-        require(
-            isinstance(address, UdpAddress),
-            f"--to: {to!r} is not a UDP address; for a serial line use --pty",
-        )
+    address = None if to is None else _parse_udp_address(to)
     scenario = load_scenario(
         filename=scenario_file, name=scenario_name, text=scenario_text
     )
@@ -143,6 +137,15 @@ def simulated_rings(
     finally:
         sender.close()
     return 0
+
+
+def _parse_udp_address(text: str) -> UdpAddress:
+    address = parse_ring_address(text, where="--to")
+    if not isinstance(address, UdpAddress):
+        raise UserError(
+            f"--to: {text!r} is not a UDP address; for a serial line use --pty"
+        )
+    return address
 
 
 @dc.dataclass

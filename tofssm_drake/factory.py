@@ -42,9 +42,8 @@ def find_factory(factory: str, *, where: str) -> Callable[..., Any]:
             f"{where}: cannot import {factory!r}: {error}"
         ) from error
     function = getattr(module, name, None)
-    require(
-        callable(function), f"{where}: {module_name} has no function {name!r}"
-    )
+    if not callable(function):
+        raise UserError(f"{where}: {module_name} has no function {name!r}")
     return function
 
 

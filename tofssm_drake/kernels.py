@@ -11,8 +11,12 @@ import hashlib
 import os
 from pathlib import Path
 import shutil
+from typing import Any
 
 import numba
+
+# Numba makes its settings when it is imported, so mypy does not know them.
+_SETTINGS: Any = numba.config
 
 _PACKAGE = Path(__file__).parent
 _PREFIX = "kernels-"
@@ -27,16 +31,16 @@ def njit(**options):
     """
 
     def decorate(function):
-        if not options.get("cache") or numba.config.DISABLE_JIT:
+        if not options.get("cache") or _SETTINGS.DISABLE_JIT:
             return numba.njit(**options)(function)
         # Numba reads this setting when a kernel is declared. Kernels of other
         # packages keep the old value.
-        before = numba.config.CACHE_DIR
-        numba.config.CACHE_DIR = str(find_cache_folder(_PACKAGE))
+        before = _SETTINGS.CACHE_DIR
+        _SETTINGS.CACHE_DIR = str(find_cache_folder(_PACKAGE))
         try:
             return numba.njit(**options)(function)
         finally:
-            numba.config.CACHE_DIR = before
+            _SETTINGS.CACHE_DIR = before
 
     return decorate
 
@@ -50,8 +54,8 @@ def find_cache_folder(package: Path) -> Path:
     used by nobody else, older states are removed.
     """
     name = _PREFIX + calc_stamp(package)[:16]
-    if numba.config.CACHE_DIR:
-        return Path(numba.config.CACHE_DIR) / name
+    if _SETTINGS.CACHE_DIR:
+        return Path(_SETTINGS.CACHE_DIR) / name
     own = package / "__pycache__"
     if not os.access(own if own.exists() else package, os.W_OK):
         return Path.home() / ".cache" / package.name / name

@@ -59,7 +59,7 @@ class Monitor:
     """Of all watched links."""
     objects: CarriableObjects
     """That the task carries."""
-    person_radii: Sequence[float] | None
+    person_radii: np.ndarray | None
     """Radii of the true person's capsules, m; for motion capture."""
     inputs: set[str] = dc.field(default_factory=set)
     """Names of the input ports so far."""

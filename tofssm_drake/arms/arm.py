@@ -45,8 +45,13 @@ class ArmModel(Protocol):
     the arm's proximity geometry is capsules and spheres.
     """
 
-    tool_frame: str
-    X_WB: Pose
+    @property
+    def tool_frame(self) -> str:
+        """Name of the tool's frame."""
+
+    @property
+    def X_WB(self) -> Pose:
+        """Pose of the arm's base in the world."""
 
     def check(self, where: str) -> None:
         """Raises UserError with one line if a setting is out of range."""

@@ -234,11 +234,11 @@ def _split_urdf(path, packages):
     for joint in root.findall("joint"):
         for element in joint.findall("safety_controller"):
             joint.remove(element)  # Of ROS controllers; Drake warns of it.
-    effort = {
-        joint.get("name"): float(joint.find("limit").get("effort"))
-        for joint in root.findall("joint")
-        if joint.find("limit") is not None and joint.find("limit").get("effort")
-    }
+    effort = {}
+    for joint in root.findall("joint"):
+        limit = joint.find("limit")
+        if limit is not None and (most := limit.get("effort")):
+            effort[joint.get("name")] = float(most)
     text = ElementTree.tostring(root, encoding="unicode")
     return text, tuple(foreign), effort
 

@@ -205,7 +205,7 @@ class _Roles:
 @functools.lru_cache(maxsize=256)
 def _read_mesh(path: pathlib.Path) -> trimesh.Trimesh:
     try:
-        mesh = trimesh.load(path, force="mesh")
+        mesh = trimesh.load_mesh(path)
     except (ValueError, OSError) as error:
         raise UserError(f"{path}: {' '.join(str(error).split())}") from None
     require(len(mesh.faces) > 0, f"{path}: has no triangle")
@@ -273,10 +273,9 @@ def _load_mesh(shape):
     if source.is_path():
         mesh = _read_mesh(source.path()).copy()
     else:
-        mesh = trimesh.load(
+        mesh = trimesh.load_mesh(
             io.BytesIO(source.in_memory().mesh_file.contents()),
             file_type=shape.extension().removeprefix("."),
-            force="mesh",
         )
     mesh.apply_scale(shape.scale3())
     return (

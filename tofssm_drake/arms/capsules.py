@@ -77,7 +77,7 @@ def fit_capsules(
     )
     triangles = vertices[faces]
     parts = [(triangles, _fit_capsule(triangles))]
-    done = []
+    done: list[tuple[np.ndarray, FittedCapsule]] = []
     while parts and len(parts) + len(done) < most:
         parts.sort(key=lambda part: part[1].volume)
         whole, capsule = parts.pop()
@@ -96,7 +96,7 @@ def _sum_volumes(parts):
 def _cut(triangles):
     """Returns the best cut of triangles in two parts, with their capsules."""
     centres = triangles.mean(axis=1)
-    best = []
+    best: list[tuple[np.ndarray, FittedCapsule]] = []
     for axis in _find_axes(centres)[:3]:
         along = centres @ axis
         for share in (0.3, 0.5, 0.7):
@@ -213,4 +213,4 @@ def _calc_excess(mesh, capsules):
             points.append(shell[inner > -1e-6])
     tree = KDTree(surface)
     distance, _ = tree.query(np.vstack(points))
-    return float(distance.max())
+    return float(np.max(distance))

@@ -67,7 +67,8 @@ def make_cell_plant(
     plant = MultibodyPlant(time_step)
     if scene_graph is not None:
         plant.RegisterAsSourceForSceneGraph(scene_graph)
-    arm = arm or UrArm()
+    if arm is None:
+        arm = UrArm()
     if workcell:
         add_workcell_file(plant, workcell)
     arm.add_to_plant(plant)

@@ -124,7 +124,7 @@ def _find_joints(plant, tcp):
         for joint in map(plant.get_joint, plant.GetJointIndices())
     }
     body = plant.GetFrameByName(tcp).body()
-    joints = []
+    joints: list[RevoluteJoint | PrismaticJoint] = []
     while body.index() != plant.world_body().index():
         joint = joint_of.get(body.index())
         if joint is None:

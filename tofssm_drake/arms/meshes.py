@@ -111,19 +111,18 @@ def _find_mesh_files() -> dict[str, tuple[pathlib.Path, pathlib.Path]]:
     # .../share/example-robot-data/robots/ur_description/urdf/ur10_robot.urdf
     share = urdf.parents[4]
     root = ElementTree.parse(urdf).getroot()
-    files = {}
-    for link, other in _LINKS.items():
-        element = next(
-            x for x in root.findall("link") if x.get("name") == other
-        )
-        files[link] = tuple(
-            share
-            / element.find(f"{kind}/geometry/mesh")
-            .get("filename")
-            .removeprefix("package://")
-            for kind in ("collision", "visual")
-        )
-    return files
+
+    def find_file(link, kind):
+        for mesh in root.iterfind(
+            f"link[@name='{link}']/{kind}/geometry/mesh[@filename]"
+        ):
+            return share / mesh.attrib["filename"].removeprefix("package://")
+        raise ValueError(f"{urdf}: link {link} has no {kind} mesh")
+
+    return {
+        link: (find_file(other, "collision"), find_file(other, "visual"))
+        for link, other in _LINKS.items()
+    }
 
 
 def read_collision_mesh(link: str, X_LM: RigidTransform):
@@ -133,7 +132,7 @@ def read_collision_mesh(link: str, X_LM: RigidTransform):
         link: Name of the link in this project's model.
         X_LM: Pose of the mesh in the link.
     """
-    mesh = trimesh.load(_find_mesh_files()[link][0])
+    mesh = trimesh.load_mesh(_find_mesh_files()[link][0])
     mesh.merge_vertices()
     mesh.apply_transform(X_LM.GetAsMatrix4())
     return mesh

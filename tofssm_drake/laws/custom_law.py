@@ -139,10 +139,10 @@ def find_factory(factory: str, *, where: str) -> Callable:
             f"{where}: {module_name} cannot be imported: {_tell(error)}"
         ) from error
     function = getattr(module, name, None)
-    require(
-        callable(function),
-        f"{where}: module {module_name!r} has no function {name!r}",
-    )
+    if not callable(function):
+        raise UserError(
+            f"{where}: module {module_name!r} has no function {name!r}"
+        )
     return function
 
 

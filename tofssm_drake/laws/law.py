@@ -65,7 +65,9 @@ class Law(Protocol):
         traits: What others must know of it.
     """
 
-    traits: LawTraits
+    @property
+    def traits(self) -> LawTraits:
+        """What others must know of the law."""
 
     def make(
         self, *, links: tuple[str, ...], offset: np.ndarray, period: float

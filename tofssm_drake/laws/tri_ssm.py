@@ -141,7 +141,7 @@ def explain_states(
     state = "stop" if is_stop else "reduced"
     threshold = index.dsi_C if is_stop else index.dsi_R
     deciding, greatest = -1, -np.inf
-    for i in np.flatnonzero(states == psi):
+    for i in np.flatnonzero(states == psi).tolist():
         problem = _find_problem(index, i, now, config, is_stop)
         if problem:
             return index.name[i], f"{state}: {index.name[i]} {problem}"

@@ -112,12 +112,16 @@ class TriSsm(SsmConfig):
             - decision
         """
         builder = DiagramBuilder()
-        common = {"name": links, "config": self, "offset": offset}
         dsi_filter = builder.AddNamedSystem(
-            "dsi_filter", DsiFilter(**common, period=period)
+            "dsi_filter",
+            DsiFilter(name=links, config=self, offset=offset, period=period),
         )
-        state = builder.AddNamedSystem("tri_ssm", TriSsmState(**common))
-        decision = builder.AddNamedSystem("decision", TriSsmDecision(**common))
+        state = builder.AddNamedSystem(
+            "tri_ssm", TriSsmState(name=links, config=self, offset=offset)
+        )
+        decision = builder.AddNamedSystem(
+            "decision", TriSsmDecision(name=links, config=self, offset=offset)
+        )
         dsi = dsi_filter.GetOutputPort("dsi")
         builder.Connect(dsi, state.GetInputPort("dsi"))
         builder.Connect(dsi, decision.GetInputPort("dsi"))

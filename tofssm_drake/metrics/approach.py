@@ -231,10 +231,10 @@ def _follow_ring(samples, ring, start, first):
     t = samples["t"]
     window = slice(start, first + 1)
     is_due = np.flatnonzero(find_due(samples, ring)[window])
-    reacted = np.flatnonzero(
+    has_reacted = np.flatnonzero(
         samples[f"{ring}_state"][window] == RobotState.STOP
     )
-    reacted = start + int(reacted[0]) if len(reacted) else None
+    reacted = start + int(has_reacted[0]) if len(has_reacted) else None
     due = start + int(is_due[0]) if len(is_due) else None
     sensors, around, along = None, np.nan, np.nan
     nearest, seen = np.inf, False

@@ -127,7 +127,7 @@ class Audit:
 
     def make_row(self) -> dict[str, float]:
         """Returns the audit as one flat row of numbers, names with units."""
-        row = {}
+        row: dict[str, float] = {}
         for name, shortfall in (
             ("walking_in", self.walking_in),
             ("as_reckoned", self.as_reckoned),

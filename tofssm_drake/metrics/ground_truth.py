@@ -59,7 +59,8 @@ class RobotCapsules:
             UserError: if the plant has no arm.
         """
         links = find_chain(plant, tcp)
-        link, p, q, radius, bodies, names = [], [], [], [], [], []
+        link, p, q, radius, bodies = [], [], [], [], []
+        names: list[str] = []
         for body in list_arm_bodies(plant, tcp):
             i = links.link_of[body.index()]
             ids = _find_shapes(plant, inspector, body)

@@ -229,7 +229,7 @@ def find_episodes(
 
 def _group_events(events):
     """Returns the events of each episode."""
-    groups = []
+    groups: list[list[StateEvent]] = []
     back = -np.inf
     for event in events:
         # Before the first episode normal may never have lasted.
@@ -289,9 +289,7 @@ def find_contacts(samples: Samples) -> list[Contact]:
         t[ticks[1:]] - (t[ticks[:-1]] + periods[ticks[:-1]]) > _MERGE_TIME
     )
     contacts = []
-    seen = np.array([is_seen(samples, ring) for ring in samples.rings]).any(
-        axis=0
-    )
+    seen = np.any([is_seen(samples, ring) for ring in samples.rings], axis=0)
     for group in np.split(ticks, breaks + 1):
         first, last = int(group[0]), int(group[-1])
         before = np.flatnonzero(seen[: first + 1])
@@ -449,7 +447,7 @@ def calc_summary(samples: Samples, *, products: int = 10) -> dict:
 
 def _summarize_task(samples, products):
     placed = samples["products_placed"]
-    finished = np.flatnonzero(placed >= products) if products else []
+    finished = np.flatnonzero((placed >= products) & bool(products))
     return {
         "products_placed": int(placed.max(initial=0)),
         "task_time_s": (

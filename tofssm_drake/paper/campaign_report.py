@@ -119,7 +119,7 @@ def find_latencies(
     samples: dict[Cell, Samples],
 ) -> dict[str, dict[str, float]]:
     """Returns the parts of the worst latency, s, by sensing."""
-    latencies = {}
+    latencies: dict[str, dict[str, float]] = {}
     for cell, run in samples.items():
         audit = run.metadata.get("audit") or {}
         if "latency_s" in audit:

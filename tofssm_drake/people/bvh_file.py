@@ -8,6 +8,7 @@ of channel values per frame. It does not fix units, axes or joint names;
 import dataclasses as dc
 from pathlib import Path
 import re
+from typing import NoReturn
 
 import numpy as np
 
@@ -79,7 +80,7 @@ class _Reader:
         self.line = 0
         self._parts = []
 
-    def fail(self, message, line=None):
+    def fail(self, message, line=None) -> NoReturn:
         where = self.line if line is None else line
         raise UserError(f"{self.path}:{max(where, 1)}: {message}")
 
@@ -150,8 +151,8 @@ def _open_joint(reader, name, *, parent, first_channel, is_end):
 
 def _read_hierarchy(reader):
     """Returns the joints and the number of their channels."""
-    joints = []
-    stack = []
+    joints: list[BvhJoint] = []
+    stack: list[int] = []
     columns = 0
 
     def open_joint(name, is_end):
@@ -190,7 +191,7 @@ def _read_hierarchy(reader):
     return tuple(joints), columns
 
 
-def _read_header(reader, pattern, expected):
+def _read_header(reader: _Reader, pattern, expected):
     statement = reader.next(expected)
     match = re.fullmatch(pattern, statement, flags=re.IGNORECASE)
     if match is None:
@@ -222,9 +223,9 @@ def _read_motion(reader, columns):
     return _read_frames(reader, count, columns), frame_time
 
 
-def _read_frames(reader, count, columns):
+def _read_frames(reader: _Reader, count, columns):
     """Returns the channel values, (count, columns)."""
-    rows = []
+    rows: list[np.ndarray] = []
     for index in range(reader.line, len(reader.lines)):
         words = reader.lines[index].split()
         if not words:

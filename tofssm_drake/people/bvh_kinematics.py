@@ -39,7 +39,7 @@ def calc_positions(
     )
     count = len(low)
     positions = np.empty((count, len(file.joints), 3))
-    rotations = {}
+    rotations: dict[int, np.ndarray] = {}
     for j, joint in enumerate(file.joints):
         first = joint.first_channel
         channels = file.frames[:, first : first + len(joint.channels)]

@@ -167,7 +167,7 @@ def find_roles(names: list[str]) -> dict[str, int]:
         Joint index by role, e.g. left_knee; only those found.
     """
     words = [_split_words(name) for name in names]
-    found = {}
+    found: dict[tuple[str, str], int] = {}
     # Plain names first: LHipJoint is not the hip where there is a LeftHip.
     for some_words in (words, [_trim(w) for w in words]):
         for index, reading in enumerate(some_words):
@@ -658,13 +658,14 @@ def calc_facing(landmarks: np.ndarray) -> np.ndarray:
     Returns:
         Horizontal unit vectors, shape (T, 3).
     """
-    left = sum(
+    hips, shoulders = (
         normalize(
             landmarks[:, LANDMARK_INDEX[f"left_{name}"]]
             - landmarks[:, LANDMARK_INDEX[f"right_{name}"]]
         )
         for name in ("hip", "shoulder")
     )
+    left = hips + shoulders
     ahead = np.stack([left[:, 1], -left[:, 0], 0 * left[:, 0]], axis=-1)
     return normalize(ahead)
 

@@ -644,6 +644,7 @@ def _carry_knee(p_W, p_G, bones, route, side):
     hip, knee, ankle, toe, heel = _get_indices(
         side, "hip", "knee", "ankle", "toe", "heel"
     )
+    thigh, shank = bones
     bend_G = p_G[:, knee] - 0.5 * (p_G[:, hip] + p_G[:, ankle])
     # A nearly straight knee has no clear direction: lend it the foot's.
     lent = (p_G[:, toe] - p_G[:, heel]) * [1.0, 1.0, 0.0]
@@ -652,7 +653,7 @@ def _carry_knee(p_W, p_G, bones, route, side):
         route.s + 0.5 * route.stretch * p_G[:, ankle, 0], route.half_step
     )
     bend_W = _lay(np.zeros((len(p_W), 2)), middle, bend_G)
-    p_W[:, knee] = solve_knee(p_W[:, hip], p_W[:, ankle], *bones, bend_W)
+    p_W[:, knee] = solve_knee(p_W[:, hip], p_W[:, ankle], thigh, shank, bend_W)
 
 
 def make_walk(config: GeneratedWalk, dt: float) -> HumanMotion:

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 import dataclasses as dc
+from typing import Any
 
 import numpy as np
 from pydrake.common.value import Value
@@ -22,7 +23,7 @@ def join_separations(
         parts: Of different links.
         name: The links in the order of the result.
     """
-    joined = {}
+    joined: dict[str, Any] = {}
     names = [link for part in parts for link in part.name]
     rows = [names.index(link) for link in name]
     for field in dc.fields(Separation):

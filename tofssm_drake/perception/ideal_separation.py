@@ -279,11 +279,11 @@ class IdealSeparation(LeafSystem):
         before = context.get_abstract_state(self._capture).get_value()
         time = context.get_time()
         ends, separation = self._sample(context, time, before)
-        waiting = (*before.waiting, separation)
+        waiting = [*before.waiting, separation]
         due = time - self._config.latency + _SLACK
         delivered = None
         while waiting and waiting[0].time[0] <= due:
-            delivered, *waiting = waiting
+            delivered = waiting.pop(0)
         if delivered is not None:
             state.get_mutable_abstract_state(self._separation).set_value(
                 delivered

@@ -268,8 +268,10 @@ def calc_lidar_separation(
         direction = math.cos(angle + yaw), math.sin(angle + yaw), 0.0
         k_l = float(v_WT @ np.array(direction))
         v_h = config.V_hmax
-        dt = math.inf if previous is None else scan.time - previous.time
-        if 0.0 < dt <= config.max_gap:
+        if (
+            previous is not None
+            and 0.0 < (dt := scan.time - previous.time) <= config.max_gap
+        ):
             before = find_nearest_around(
                 previous.angles,
                 previous.ranges,
@@ -296,7 +298,9 @@ def calc_lidar_separation(
 class ToolKinematics(Protocol):
     """What LidarSeparation needs to know about the robot."""
 
-    num_joints: int
+    @property
+    def num_joints(self) -> int:
+        """Number of the robot's joints."""
 
     def calc_sites(
         self, q: np.ndarray, qd: np.ndarray

@@ -487,7 +487,7 @@ def count_look(model: SelfHitModel, state: SelfHitState, look: Look) -> None:
     state.position[look.sampled] = look.q
     if not (is_odd or state.misfit_sum.any()):
         return
-    odd = (outcome >= MISS).reshape(-1, n).any(axis=1)
+    odd = np.any((outcome >= MISS).reshape(-1, n), axis=1)
     for ring in look.rings:
         _try_orders(model, state, look, outcome, ring, odd[ring])
     _try_misfits(model, state, look, outcome, odd)
@@ -635,7 +635,7 @@ def tell_health(model: SelfHitModel, state: SelfHitState) -> SelfHitHealth:
     """
     m, n = len(model.name), model.num_sensors
     unseen = state.sensor_alarm.reshape(m, n) > 0.0
-    lines = [[] for _ in range(m)]
+    lines: list[list[str]] = [[] for _ in range(m)]
     # The best explanation first.
     for test in np.argsort(-state.misfit_sum, kind="stable").tolist():
         if state.misfit_sum[test] < model.config.name_threshold:
@@ -653,7 +653,7 @@ def tell_health(model: SelfHitModel, state: SelfHitState) -> SelfHitHealth:
                 f"unseen self-hit: {model.name[ring]} sensor {sensors}"
             )
     # An alarm is reported until its sum is back at 0.
-    for test in np.flatnonzero(state.misfit_alarm):
+    for test in np.flatnonzero(state.misfit_alarm).tolist():
         kind, rings, text = describe_test(model, test)
         for ring in rings:
             lines[ring] = lines[ring] or [f"{kind}: {text}"]

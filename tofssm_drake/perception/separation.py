@@ -130,7 +130,9 @@ def make_ring_geometry(X_LS: Sequence) -> RingGeometry:
 class LinkKinematics(Protocol):
     """What TofSeparation needs to know about the robot."""
 
-    num_joints: int
+    @property
+    def num_joints(self) -> int:
+        """Number of the robot's joints."""
 
     def calc(
         self, q: np.ndarray, qd: np.ndarray
@@ -537,7 +539,11 @@ class _LastKinematics:
 
     def __init__(self, kinematics: LinkKinematics):
         self._kinematics = kinematics
-        self._last = None, None
+        self._last: tuple = None, None
+
+    @property
+    def num_joints(self) -> int:
+        return self._kinematics.num_joints
 
     def calc(self, q, qd):
         key = q.tobytes() + qd.tobytes()

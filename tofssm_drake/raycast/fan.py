@@ -77,7 +77,7 @@ def make_planar_fan(azimuths: np.ndarray) -> np.ndarray:
     Returns:
         Unit directions, shape (n, 3).
     """
-    return make_lidar_fan(azimuths, [0.0])[0]
+    return make_lidar_fan(azimuths, np.zeros(1))[0]
 
 
 def make_lidar_fan(azimuths: np.ndarray, elevations: np.ndarray) -> np.ndarray:

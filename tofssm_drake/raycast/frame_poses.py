@@ -95,8 +95,9 @@ class FramePoses:
             ).reshape(-1, 3, 4)
         if self._num_given:
             shape = (self._num_given, 3, 4)
-            if np.shape(X_WF) != shape:
-                raise ValueError(f"X_WF: shape {np.shape(X_WF)} is not {shape}")
+            if X_WF is None or np.shape(X_WF) != shape:
+                given = () if X_WF is None else np.shape(X_WF)
+                raise ValueError(f"X_WF: shape {given} is not {shape}")
             poses[self._given_rows] = X_WF[self._given]
         return poses
 

@@ -109,9 +109,11 @@ def _group_near(points: np.ndarray, within: float) -> np.ndarray:
         same = (cells[order[1:]] == cells[order[:-1]]).all(axis=1)
         first.append(order[:-1][same])
         second.append(order[1:][same])
-    first, second = np.concatenate(first), np.concatenate(second)
     group, _, _ = _join(
-        len(points), first, second, np.zeros(len(first), dtype=bool)
+        len(points),
+        np.concatenate(first),
+        np.concatenate(second),
+        np.zeros(sum(map(len, first)), dtype=bool),
     )
     return group
 

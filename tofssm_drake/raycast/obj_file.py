@@ -132,8 +132,7 @@ def _read_faces(
 
 def _resolve_relative(contents, corners, counts) -> np.ndarray:
     """Returns indices from 1 on where some count back from their line."""
-    kinds = re.findall(rb"^[ \t]*+([vf])(?![^ \t\n])", contents, re.M)
-    kinds = np.array(kinds)
+    kinds = np.array(re.findall(rb"^[ \t]*+([vf])(?![^ \t\n])", contents, re.M))
     so_far = np.cumsum(kinds == b"v")[kinds == b"f"]
     return np.where(
         corners < 0, corners + np.repeat(so_far, counts) + 1, corners

@@ -291,7 +291,7 @@ def _read_primitive(shape, name: str) -> _Entry:
         kind, size = shape_kernels.CYLINDER, (r, half, 0.0)
         high = [r, r, half]
     elif isinstance(shape, Box):
-        high = 0.5 * np.asarray(shape.size())
+        high = [0.5 * size for size in shape.size()]
         radius = np.linalg.norm(high)
         kind, size = shape_kernels.BOX, tuple(high)
     elif isinstance(shape, Ellipsoid):
@@ -303,9 +303,9 @@ def _read_primitive(shape, name: str) -> _Entry:
             f"geometry '{name}': a {type(shape).__name__} cannot be seen by"
             " rays"
         )
-    high = np.array(high)
+    corner = np.array(high)
     return _Entry(
-        kind=kind, low=-high, high=high, radius=_enlarge(radius), size=size
+        kind=kind, low=-corner, high=corner, radius=_enlarge(radius), size=size
     )
 
 

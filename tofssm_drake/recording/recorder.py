@@ -169,8 +169,8 @@ class _Log:
         self.signal_times = []
         self.signals = []
         self.packed_signals = []
-        self.scans = {ring: [] for ring in scanned}
-        self.packed_scans = {ring: [] for ring in scanned}
+        self.scans: dict[str, list] = {ring: [] for ring in scanned}
+        self.packed_scans: dict[str, list] = {ring: [] for ring in scanned}
         self.sequence = dict.fromkeys(scanned, -1)
         self.decision_times = []
         self.link_states = []
@@ -547,7 +547,7 @@ class SampleRecorder(Diagram):
     def _lay_out_messages(self, log, t):
         # Nothing is known before the first, as at a start in mid-air.
         unknown = np.full(len(self._rings), np.nan)
-        columns = {}
+        columns: dict[str, np.ndarray] = {}
         for times, first, packed in (
             (
                 log.times,

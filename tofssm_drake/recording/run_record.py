@@ -26,6 +26,7 @@ import stat
 import struct
 import threading
 import time
+from typing import IO, cast
 
 from mcap.exceptions import McapError
 import mcap.records
@@ -221,12 +222,13 @@ class RunRecorder:
             self._error = error
             self._raise_error()
         # What was added is formatted when there is time for it.
-        self._added = collections.deque()
+        self._added: collections.deque[tuple] = collections.deque()
         self._lock = threading.Lock()
         self._closed = threading.Event()
         self._stream = _Buffer()
         self._writer = Writer(
-            self._stream,
+            # Writes, tells and flushes, and more is not called.
+            cast(IO[bytes], self._stream),
             compression=CompressionType.NONE,
             use_chunking=False,
             enable_data_crcs=True,
@@ -450,12 +452,13 @@ class RunReader:
             ) from None
         if not start.startswith(b"\x89MCAP"):
             raise UserError(f"{path}: is not an MCAP file")
-        self.run = next(self._read(_RUN), None)
-        if self.run is None or self.run.get("version") not in _READABLE:
+        run = next(self._read(_RUN), None)
+        if run is None or run.get("version") not in _READABLE:
             raise UserError(
                 f"{path}: is not a record of `tofssm hardware`, or of "
                 "another version"
             )
+        self.run: dict = run
 
     def read_ticks(self) -> Iterator[RecordedTick]:
         """Yields the ticks in order."""

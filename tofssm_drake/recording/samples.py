@@ -74,7 +74,7 @@ _FORMER_SIGNALS = {
     "d_R": LinkSignal(unit="m", meaning="reduced distance", bound="slow"),
 }
 
-_INTEGERS = {
+_INTEGERS: dict[str, type[np.signedinteger]] = {
     "robot_state": np.int8,
     "deciding_link": np.int8,
     "products_placed": np.int16,
@@ -219,9 +219,9 @@ def narrow_type(kind: str, values: np.ndarray) -> np.ndarray:
     """
     if kind in _INTEGERS:
         whole = np.round(values)
-        dtype = _INTEGERS[kind]
+        dtype = np.dtype(_INTEGERS[kind])
         if np.abs(whole).max(initial=0) > np.iinfo(dtype).max:
-            dtype = np.int32
+            dtype = np.dtype(np.int32)
         return whole.astype(dtype)
     return np.array(values)
 
@@ -400,15 +400,15 @@ def _find_codes(array, codes):
 
 
 def _make_scan_table(samples):
-    time, ring, distance, reading, fault = [], [], [], [], []
+    times, ring, distance, reading, fault = [], [], [], [], []
     for name, scan in samples.scan.items():
         k = len(scan["time"])
-        time.append(scan["time"])
+        times.append(scan["time"])
         ring += [name] * k
         distance += list(scan["distance"])
         reading += list(scan["reading"])
         fault += list(scan.get("fault", np.zeros_like(scan["reading"])))
-    time = np.concatenate(time) if time else np.empty(0)
+    time = np.concatenate(times) if times else np.empty(0)
     order = np.argsort(time, kind="stable")
     table = pa.table(
         {

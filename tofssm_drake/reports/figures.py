@@ -8,10 +8,12 @@ wide, and narrow for a phone.
 
 import base64
 import io
+from typing import Any
 
 import matplotlib
 from matplotlib.colors import ListedColormap, Normalize
 from matplotlib.figure import Figure
+from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, PathPatch, Polygon
 from matplotlib.path import Path
@@ -46,7 +48,7 @@ _SHADE = {
     RobotState.REDUCED: ("#FCEFD0", None, "#FCEFD0"),
 }
 
-STYLE = {
+STYLE: dict[Any, Any] = {
     "svg.fonttype": "none",
     "svg.hashsalt": "tofssm",
     "font.family": ["DejaVu Sans"],
@@ -458,7 +460,11 @@ def _draw_speed(ax, samples, columns, narrow):
         ax.plot(t, speed, color=BLUE)
         twin = ax.twinx()
         twin.spines["right"].set_visible(True)
-        style = {"color": BLACK, "linestyle": (0, (4, 2)), "linewidth": 1.0}
+        style: dict[str, Any] = {
+            "color": BLACK,
+            "linestyle": (0, (4, 2)),
+            "linewidth": 1.0,
+        }
         twin.plot(t, 100 * samples["speed_fraction"], **style)
         twin.set_ylim(0, 100 * top / 1.7)
         twin.set_yticks([0, 50, 100])
@@ -563,7 +569,7 @@ def _draw_outlines(ax, outlines):
 
 def _draw_tool_path(ax, samples):
     """Draws the path of the tool; returns its legend, as the next do."""
-    style = {"color": GREY, "linewidth": 1.2}
+    style: dict[str, Any] = {"color": GREY, "linewidth": 1.2}
     ax.plot(samples["tcp_x"], samples["tcp_y"], zorder=2, **style)
     return [Line2D([], [], label="path of the tool", **style)]
 
@@ -626,7 +632,7 @@ def _draw_closest(ax, samples):
     px, py = samples["person_point_x"][i], samples["person_point_y"][i]
     rx, ry = samples["robot_point_x"][i], samples["robot_point_y"][i]
     ax.plot([rx, px], [ry, py], color=BLACK, linewidth=1.2, zorder=6)
-    style = {
+    style: dict[str, Any] = {
         "marker": "D",
         "color": "white",
         "markeredgecolor": BLACK,
@@ -642,7 +648,7 @@ def _draw_contacts(ax, samples):
     if not contacts:
         return []
     rows = np.searchsorted(samples["t"], [c.time for c in contacts])
-    style = {
+    style: dict[str, Any] = {
         "marker": "X",
         "color": PURPLE,
         "markeredgecolor": BLACK,
@@ -658,7 +664,7 @@ def _draw_contacts(ax, samples):
     return [Line2D([], [], label="contact while moving", **style)]
 
 
-_PLACE = {
+_PLACE: dict[RobotState, dict[str, Any]] = {
     RobotState.STOP: {"marker": "s", "markersize": 5.0},
     RobotState.REDUCED: {"marker": "D", "markersize": 3.4},
     RobotState.NORMAL: {"marker": "o", "markersize": 2.0},
@@ -712,9 +718,8 @@ def make_rings(samples: Samples, *, narrow: bool = False) -> Figure:
     with matplotlib.rc_context(STYLE):
         figure = Figure(
             figsize=_size_rings(len(rings), strips, narrow),
-            layout="constrained",
+            layout=ConstrainedLayoutEngine(h_pad=0.02, hspace=0.0),
         )
-        figure.get_layout_engine().set(h_pad=0.02, hspace=0.0)
         axes = figure.subplots(
             strips * len(rings),
             1,

@@ -28,7 +28,7 @@ from tofssm_drake.metrics.sensor_faults import (
 )
 from tofssm_drake.recording.samples import Samples, write_atomically
 from tofssm_drake.reports import figures
-from tofssm_drake.reports.page import make_picture, render_page
+from tofssm_drake.reports.page import Picture, make_picture, render_page
 
 _ROWS_SHOWN = 30
 _NONE = "\u2013"
@@ -528,7 +528,7 @@ def _make_figures(samples, events, contacts, is_known):
     thresholds = ""
     if samples.find_bound("stop") or samples.find_bound("slow"):
         thresholds = " with the thresholds"
-    result = {
+    result: dict[str, Picture | str] = {
         "timeline": make_picture(
             figures.make_timeline,
             f"Robot state, tool speed with speed fraction, and {distances}"

@@ -410,9 +410,10 @@ class FaultInjector:
             hit = np.full(n, True)
             if fault.sensor is not None:
                 hit = np.arange(n) == fault.sensor
-            frame = kind.change(frame, hit, memory)
-            if frame is None:
+            changed = kind.change(frame, hit, memory)
+            if changed is None:
                 return
+            frame = changed
             is_damaged |= kind.damages
             delay += kind.delay
         self._deliveries.append(

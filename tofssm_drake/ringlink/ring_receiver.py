@@ -239,13 +239,13 @@ class RingReceiver:
         if len(frame.mm) != self._num_sensors:
             self.counts.wrong_size += 1
             return None
-        if not self._follow(frame, arrival):
+        if not self._follow(frame, arrival) or self.clock is None:
             return None
         self._arrival = arrival
         self._old_frames = 0
         self._doubt = max(self._doubt - _PER_GOOD_FRAME, 0.0)
         is_frozen = self._watch_samples(frame)
-        sensor_time = self._calc_sensor_time(frame)
+        sensor_time = self._calc_sensor_time(frame, self.clock)
         self._watch_link(frame, arrival, sensor_time)
         if self.clock.lateness > self._config.late:
             self.counts.late += 1
@@ -332,9 +332,9 @@ class RingReceiver:
             frozen_samples=self._config.frozen_samples,
         )
 
-    def _calc_sensor_time(self, frame):
+    def _calc_sensor_time(self, frame, clock):
         """Returns the middle of each integration, host's time, s, (n,)."""
-        end = self.clock.calc_host_time(1e-6 * self._time_us)
+        end = clock.calc_host_time(1e-6 * self._time_us)
         sensor_time = (
             end
             - self._config.min_delay

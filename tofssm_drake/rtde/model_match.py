@@ -163,6 +163,8 @@ def find_mismatch(
         return "" if config.allow_no_pose else "reports no pose of its tool"
     if np.isfinite(report.tcp_offset).all():
         X_FT = make_pose(report.tcp_offset)
+    elif match.X_FT is None:
+        raise ValueError("match: does not know the tool")
     else:
         X_FT = match.X_FT
         length = float(np.linalg.norm(X_FT[:, 3]))

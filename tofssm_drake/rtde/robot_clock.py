@@ -109,20 +109,21 @@ class RobotClock:
 
     def update(self, report: RobotReport) -> float:
         """Takes the next report and returns its Diagram time, s."""
-        if report.session != self._session:
+        clock_map = self._map
+        if clock_map is None or report.session != self._session:
             begin = 0.0
             if self._session >= 0:
                 gap = max(report.time - self._arrival, 0.0)
                 begin = self._snap(self.time + max(gap, self._period))
             self._session = report.session
             self._origin = begin - report.timestamp
-            self._map = start_clock_map(device=begin, host=report.time)
+            clock_map = start_clock_map(device=begin, host=report.time)
             self.rate = ClockRate()
         # Never backwards: the Simulator cannot follow.
         time = max(self._snap(self._origin + report.timestamp), self.time)
-        if time > self._map.device:
-            self._map = update_clock_map(
-                self._map,
+        if time > clock_map.device:
+            clock_map = update_clock_map(
+                clock_map,
                 device=time,
                 host=report.time,
                 max_drift=_MAX_DRIFT,
@@ -131,8 +132,9 @@ class RobotClock:
             self.rate, device=report.timestamp, host=report.time
         )
         self.time = time
-        self.lateness = self._map.lateness
-        self.offset = -self._map.offset
+        self._map = clock_map
+        self.lateness = clock_map.lateness
+        self.offset = -clock_map.offset
         self._arrival = report.time
         return time
 

@@ -90,7 +90,8 @@ class RtdeLink:
         self._version = 1
         # Why the newest package was rejected.
         self._rejection = ""
-        self._outputs: rtde.Recipe | None = None
+        # Empty until they are agreed.
+        self._outputs = rtde.Recipe((), (), 0)
         # When the next report must be there, s.
         self._report_deadline = math.inf
 

@@ -334,7 +334,7 @@ class Recipe:
                 if count == 1:
                     flat.append(value)
                 else:
-                    flat.extend(value)
+                    flat.extend(value)  # type: ignore[arg-type]  # Raises.
             payload = head + self._values.pack(*flat)
         except (struct.error, TypeError) as error:
             raise RtdeError(f"data package: {error}") from None

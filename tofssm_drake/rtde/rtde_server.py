@@ -14,6 +14,7 @@ import math
 import selectors
 import socket
 import time
+from typing import cast
 
 from tofssm_drake.errors import UserError
 from tofssm_drake.rtde.rtde_fields import (
@@ -60,6 +61,11 @@ class Faults:
     skip_next: int = 0
     # Send each data package twice.
     duplicate: bool = False
+
+
+def _get_socket(key: selectors.SelectorKey) -> socket.socket:
+    """Returns what was registered: nothing but sockets."""
+    return cast(socket.socket, key.fileobj)
 
 
 class _Session:
@@ -155,7 +161,7 @@ class RtdeServer:
     def close(self) -> None:
         """Closes all connections."""
         for key in list(self._selector.get_map().values()):
-            key.fileobj.close()
+            _get_socket(key).close()
         self._selector.close()
         self._sessions.clear()
         self._consoles.clear()
@@ -202,11 +208,12 @@ class RtdeServer:
                 self._selector.modify(session.connection, events, key.data)
         seconds = 0.0 if self._turns else max(tick - time.monotonic(), 0.0)
         for key, events in self._selector.select(seconds):
-            if key.fileobj in self._sessions and events & selectors.EVENT_WRITE:
-                self._flush(self._sessions[key.fileobj])
+            connection = _get_socket(key)
+            if connection in self._sessions and events & selectors.EVENT_WRITE:
+                self._flush(self._sessions[connection])
             if events & selectors.EVENT_READ:
                 # A waiting connection keeps its place.
-                self._turns.setdefault(key.fileobj, key.data)
+                self._turns.setdefault(connection, key.data)
         self._take_turns(tick)
 
     def _take_turns(self, tick):
@@ -377,8 +384,10 @@ class RtdeServer:
                 self._drop(session)
                 continue
             cycle = self.robot.cycle
+            outputs = session.outputs
             if (
-                not session.started
+                outputs is None
+                or not session.started
                 or cycle - session.last_cycle < session.divider
             ):
                 continue
@@ -393,11 +402,9 @@ class RtdeServer:
                 continue
             if faults.text_messages and session.count % 10 == 0:
                 self._tell(session, "in the stream")
-            values = [self.robot.outputs[n] for n in session.outputs.names]
+            values = [self.robot.outputs[n] for n in outputs.names]
             try:
-                package = session.outputs.encode(
-                    values, version=session.version
-                )
+                package = outputs.encode(values, version=session.version)
             except RtdeError:
                 self._drop(session)
                 continue

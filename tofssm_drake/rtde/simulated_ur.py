@@ -26,6 +26,7 @@ from tofssm_drake.rtde.rtde_fields import (
     SafetyMode,
     SafetyStatusBit,
 )
+from tofssm_drake.rtde.rtde_protocol import Value
 from tofssm_drake.tasks.path import ProgramPath
 
 _SERIES = {
@@ -36,7 +37,7 @@ _SERIES = {
 _TOO_NEW = {"actual_current_as_torque"}
 _E_SERIES_ONLY = {"ft_raw_wrench"}
 
-_SAFETY_BITS = {
+_SAFETY_BITS: dict[int, SafetyStatusBit] = {
     SafetyMode.NORMAL: SafetyStatusBit.NORMAL,
     SafetyMode.REDUCED: SafetyStatusBit.REDUCED,
     SafetyMode.PROTECTIVE_STOP: SafetyStatusBit.PROTECTIVE_STOPPED,
@@ -189,7 +190,7 @@ class SimulatedUr:
         """True joint angles, rad, (6,), whatever is reported."""
         self.velocity = np.zeros(6)
         """True joint speeds, rad/s, (6,)."""
-        self._joints = collections.deque(
+        self._joints: collections.deque[tuple] = collections.deque(
             maxlen=round(_MOST_LATE * self.rate) + 1
         )
         self.safety_mode = int(SafetyMode.NORMAL)
@@ -197,7 +198,7 @@ class SimulatedUr:
         self.path_time = 0.0
         self.speed_fraction = 0.0
         """Speed along the path, of nominal: follows slider and pauses."""
-        self._beat = None
+        self._beat: Value | None = None
         self._beat_cycle = 0
         if config.start == "now":
             self.play()

@@ -52,7 +52,7 @@ def find_ring_mount(
     )
     frame_L = plant.GetFrameByName(ring)
     X_FL = frame_L.GetFixedPoseInBodyFrame()
-    X_FS = []
+    X_FS: list[RigidTransform] = []
     while plant.HasFrameNamed(f"{ring}_{len(X_FS)}"):
         frame_S = plant.GetFrameByName(f"{ring}_{len(X_FS)}")
         require(

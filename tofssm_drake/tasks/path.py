@@ -154,11 +154,11 @@ class PathBuilder:
                 "acceleration and jerk; those by default have one"
             )
         # Every time at which a joint's jerk changes starts a new piece.
-        knots = [0.0]
+        times = [0.0]
         for profile in trajectory.profiles[0]:
             brake = sum(profile.brake.t[:2]) if profile.brake else 0.0
-            knots.extend(brake + np.cumsum(profile.t))
-        knots = np.unique(np.clip(knots, 0.0, trajectory.duration))
+            times.extend(brake + np.cumsum(profile.t))
+        knots = np.unique(np.clip(times, 0.0, trajectory.duration))
         knots = knots[np.diff(knots, append=np.inf) > 1e-9]
         ends = np.append(knots[1:], trajectory.duration)
         for begin, end in zip(knots, ends, strict=True):

@@ -262,7 +262,7 @@ class _Handling:
 def _find_targets(config, kinematics, limits, where):
     """Returns the joints at each waypoint."""
     n = kinematics.num_joints
-    targets = []
+    targets: list[np.ndarray] = []
     for i, waypoint in enumerate(config.waypoints):
         at = f"{where}.waypoints[{i}]"
         if waypoint.point:

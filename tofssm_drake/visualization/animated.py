@@ -30,8 +30,8 @@ class AnimatedProperty:
         self._path = path
         self._name = name
         self._hold = hold
-        self._value = None
-        self._time = None
+        self._value: object = None
+        self._time: float | None = None
 
     def set(self, value, time: float, period: float) -> None:
         """Sets the property.
@@ -41,14 +41,15 @@ class AnimatedProperty:
             time: Time in the recording, s.
             period: Between frames, s.
         """
-        if time < (self._time if self._time is not None else time):
+        before = time if self._time is None else self._time
+        if time < before:
             self._value = None  # A new run: draw everything again.
         if value == self._value:
             return
         if (
             self._hold
             and self._value is not None
-            and time - self._time > 1.5 * period
+            and time - before > 1.5 * period
         ):
             self._write(self._value, time - period)
         self._write(value, time)
