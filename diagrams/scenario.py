@@ -41,6 +41,7 @@ from tofssm_drake.people.walk import GeneratedWalk
 from tofssm_drake.perception.occlusion_mask import OcclusionMaskConfig
 from tofssm_drake.perception.self_hits import SelfHitConfig
 from tofssm_drake.perception.separation import SeparationConfig
+from tofssm_drake.tasks.no_task import NoTask
 from tofssm_drake.tasks.program import PickAndPlace
 from tofssm_drake.tasks.waypoints import Waypoints
 
@@ -95,7 +96,9 @@ class Scenario:
     driver: Simulated = dc.field(default_factory=Simulated)
 
     # The task: where the products are and how fast the arm moves.
-    task: PickAndPlace | Waypoints = dc.field(default_factory=PickAndPlace)
+    task: PickAndPlace | Waypoints | NoTask = dc.field(
+        default_factory=PickAndPlace
+    )
 
     # Who is in the cell, by name.
     people: dict[str, GeneratedWalk | BvhRecording | CustomMotion] = dc.field(

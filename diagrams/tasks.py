@@ -14,12 +14,13 @@ from tofssm_drake.carried_objects import CarriableObjects
 from tofssm_drake.errors import UserError
 from tofssm_drake.perception.twin import TwinPoses
 from tofssm_drake.raycast.ray_caster import RayCaster
+from tofssm_drake.tasks.no_task import NoTask, make_resting_path
 from tofssm_drake.tasks.path import ProgramPath
 from tofssm_drake.tasks.products import HALF_PRODUCT
 from tofssm_drake.tasks.program import PickAndPlace, make_program_path
 from tofssm_drake.tasks.waypoints import Waypoints, make_waypoint_path
 
-Task = PickAndPlace | Waypoints
+Task = PickAndPlace | Waypoints | NoTask
 
 # A product may be this far from resting on something, m.
 _MOST_GAP = 0.005
@@ -40,6 +41,8 @@ def make_task_path(
     """
     if isinstance(task, Waypoints):
         return make_waypoint_path(task, kinematics, arm.read_limits())
+    if isinstance(task, NoTask):
+        return make_resting_path(task, kinematics, arm.read_limits())
     return make_program_path(task, kinematics)
 
 

@@ -24,7 +24,6 @@ robot: !Arm
   fixed_joints: {panda_finger_joint1: 0.02, panda_finger_joint2: 0.02}
   # Franka's data sheet; the description has none.
   joint_acceleration: [15.0, 7.5, 10.0, 12.5, 15.0, 20.0, 20.0]
-  initial_position: [0.0, -0.3, 0.0, -2.2, 0.0, 2.0, 0.785]
   sensed: capsules
 """
 

@@ -89,10 +89,6 @@ class ArmMount:
     # The tool centre point in the flange, if no model has a frame `tcp`.
     X_FT: Pose = dc.field(default_factory=Pose)
 
-    # Where the arm is at the start, rad or m, (n,); empty: where its task
-    # begins.
-    initial_position: list[float] = dc.field(default_factory=list)
-
     tool_frame: ClassVar[str] = TCP
 
     PATHS: ClassVar[tuple[str, ...]] = ("tool",)
@@ -178,8 +174,7 @@ class Arm(ArmMount):
                 all(value > 0.0 for value in getattr(self, name)),
                 f"{where}.{name}: must be greater than 0",
             )
-        limits = self.read_limits(where)
-        check_initial_position(self.initial_position, limits, where)
+        self.read_limits(where)
 
     def add_to_plant(self, plant: MultibodyPlant) -> None:
         """Adds arm and tool to a plant that is not finalized.
@@ -301,32 +296,6 @@ class Arm(ArmMount):
                 "base and tool; say where it stays, e.g. {" + others[0] + ": 0}"
             )
         return ArmLimits.from_plant(plant, tcp=TCP, where=where)
-
-
-def check_initial_position(
-    position: list[float], limits: ArmLimits, where: str
-) -> None:
-    """Raises UserError unless the arm can be there.
-
-    Args:
-        position: rad or m, (n,), or empty.
-        limits: Of the arm.
-        where: The arm in the user's settings.
-    """
-    n = len(limits.joint_name)
-    require(
-        len(position) in (0, n),
-        f"{where}.initial_position: has {len(position)} values, but the arm "
-        f"{n} joints",
-    )
-    for name, value, low, high in zip(
-        limits.joint_name, position, limits.lower, limits.upper, strict=False
-    ):
-        require(
-            bool(low <= value <= high),
-            f"{where}.initial_position: {name} must be from {low:g} to "
-            f"{high:g}, got {value:g}",
-        )
 
 
 def make_arm_plant(arm: ArmModel, *, time_step: float = 0.0) -> MultibodyPlant:

@@ -20,7 +20,6 @@ from pydrake.multibody.tree import (
 
 from tofssm_drake.arms.arm import (
     ArmMount,
-    check_initial_position,
     make_arm_plant,
 )
 from tofssm_drake.arms.arm_file import add_arm_file, read_foreign_meshes
@@ -65,9 +64,7 @@ class UrArm(ArmMount):
         """Raises UserError with one line if a setting is out of range."""
         read_ur_data(self.model, f"{where}.model")
         self.check_mount(where)
-        check_initial_position(
-            self.initial_position, self.read_limits(where), where
-        )
+        self.read_limits(where)
 
     def add_to_plant(self, plant: MultibodyPlant) -> None:
         """Adds arm and tool to a plant that is not finalized.
