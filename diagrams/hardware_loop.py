@@ -9,7 +9,10 @@ from pydrake.geometry import Meshcat
 from pydrake.systems.framework import Context
 
 from tofssm_drake.arms.kinematics import ArmKinematics
-from tofssm_drake.diagrams.hardware_station import make_hardware_station
+from tofssm_drake.diagrams.hardware_station import (
+    make_hardware_station,
+    make_slider_config,
+)
 from tofssm_drake.diagrams.held_connections import HeldRings, HeldRobot
 from tofssm_drake.diagrams.scenario import Scenario
 from tofssm_drake.diagrams.sensors.rings import find_rings
@@ -127,8 +130,7 @@ class HardwareLoop:
         scenario: Checked settings; rings on the arm.
         virtual_rings: Simulate the rings in the twin.
         send: Takes the commands; None drops them.
-        slider: Settings of the slider.
-        gripper_output: Number of the digital output that closes the gripper.
+        slider: Settings of the slider; None: the scenario's.
         meshcat: Where to show the twin; None shows nothing.
         with_samples: Keep samples for a report; they grow with the run.
     """
@@ -140,7 +142,6 @@ class HardwareLoop:
         virtual_rings: bool,
         send=None,
         slider: SliderConfig | None = None,
-        gripper_output: int = 0,
         meshcat: Meshcat | None = None,
         with_samples: bool = False,
     ):
@@ -149,7 +150,7 @@ class HardwareLoop:
         self._send = send
         law = scenario.law.traits
         self._deadline = law.deadline
-        slider = SliderConfig() if slider is None else slider
+        slider = make_slider_config(scenario) if slider is None else slider
         self._station = make_hardware_station(
             scenario,
             robot=HeldRobot(self._send_if_live),
@@ -159,7 +160,6 @@ class HardwareLoop:
                 else HeldRings(tuple(find_rings(scenario.sensors)))
             ),
             slider=dc.replace(slider, reduced_fraction=law.reduced_fraction),
-            gripper_output=gripper_output,
         )
         self._workcell = make_workcell(
             scenario,
@@ -266,7 +266,7 @@ class HardwareLoop:
         )
         q = path.calc_motion(0.0)[0]
         self._station.robot.report = RobotReport(
-            sequence=0, position=q, velocity=np.zeros(6)
+            sequence=0, position=q, velocity=np.zeros(len(q))
         )
         period = max(ring.sensor.traits.period for ring in rings.values())
         for i in range(_WARM_UP):

@@ -7,10 +7,10 @@ import yaml
 
 from tofssm_drake.diagrams.hardware_loop import HardwareLoop, TickInput
 from tofssm_drake.diagrams.hardware_run import describe_state
+from tofssm_drake.diagrams.hardware_station import make_slider_config
 from tofssm_drake.diagrams.scenario import Scenario, change_scenario
 from tofssm_drake.recording.run_record import RunReader, encode_json
 from tofssm_drake.rtde.arm_obedience import ArmConfig
-from tofssm_drake.rtde.slider import SliderConfig
 
 
 @dc.dataclass(frozen=True, kw_only=True)
@@ -37,14 +37,16 @@ def replay_record(reader: RunReader) -> ReplayResult:
         UserError: The record's scenario cannot be used here.
     """
     run = reader.run
+    scenario = change_scenario(
+        Scenario(),
+        yaml.safe_dump(_get_scenario(run)),
+        source="the record",
+    )
     loop = HardwareLoop(
-        scenario=change_scenario(
-            Scenario(),
-            yaml.safe_dump(_get_scenario(run)),
-            source="the record",
-        ),
+        scenario=scenario,
         virtual_rings=run["virtual_rings"],
-        slider=SliderConfig(
+        slider=dc.replace(
+            make_slider_config(scenario),
             minimum_fraction=run["minimum_fraction"],
             operator_limit=run.get("slider_limit"),
             arm=ArmConfig(**run["arm"]),

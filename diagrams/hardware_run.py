@@ -16,6 +16,9 @@ import time
 import numpy as np
 
 from tofssm_drake.arms.kinematics import ArmKinematics
+from tofssm_drake.arms.limits import ArmLimits
+from tofssm_drake.arms.sim_arm import Simulated
+from tofssm_drake.arms.ur_arm import UrArm
 from tofssm_drake.diagrams.hardware_loop import (
     HardwareLoop,
     TickInput,
@@ -85,7 +88,9 @@ def require_ready(
         )
     require_plausible(report, RobotReport(), JointLimits.from_plant(plant))
     kinematics = ArmKinematics.from_plant(plant)
-    start_model_match(model or ModelConfig(), kinematics, report)
+    start_model_match(
+        model or ModelConfig(), kinematics, report, _name_arm(scenario.robot)
+    )
     q = report.position
     path = make_task_path(scenario.task, kinematics, scenario.robot)
     positions = np.array(
@@ -104,9 +109,16 @@ def require_ready(
     )
 
 
+def _name_arm(robot):
+    """Returns what the scenario's arm is, for a message."""
+    if isinstance(robot, UrArm):
+        return f"the scenario's {robot.model}"
+    return "the scenario's arm"
+
+
 @dc.dataclass(frozen=True, kw_only=True)
 class JointLimits:
-    """Limits of the robot's joints, (6,) each."""
+    """Limits of the robot's n joints, (n,) each."""
 
     low: tuple[float, ...]
     """Least position, rad."""
@@ -118,10 +130,11 @@ class JointLimits:
     @classmethod
     def from_plant(cls, plant) -> "JointLimits":
         """Returns the limits of the cell's arm."""
+        limits = ArmLimits.from_plant(plant)
         return cls(
-            low=tuple(plant.GetPositionLowerLimits()[:6].tolist()),
-            high=tuple(plant.GetPositionUpperLimits()[:6].tolist()),
-            speed=tuple(plant.GetVelocityUpperLimits()[:6].tolist()),
+            low=tuple(limits.lower.tolist()),
+            high=tuple(limits.upper.tolist()),
+            speed=tuple(limits.speed.tolist()),
         )
 
 
@@ -293,8 +306,10 @@ def set_control_period(
         period = control_period
     scenario.control_period = period
     scenario.audit.rtde_period = 1.0 / frequency
-    # The simulated arm is not used, but its settings are checked.
-    scenario.driver.time_step = min(scenario.driver.time_step, period)
+    if isinstance(scenario.driver, Simulated):
+        # The simulated arm is not used, but its settings are checked.
+        time_step = min(scenario.driver.time_step, period)
+        scenario.driver.time_step = time_step
     scenario.check()
 
 

@@ -6,13 +6,16 @@ from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import ConstantVectorSource
 
 from tofssm_drake.arms.kinematics import ArmKinematics
+from tofssm_drake.arms.limits import ArmLimits
 from tofssm_drake.diagrams.held_connections import HeldRings, HeldRobot
 from tofssm_drake.diagrams.ring_world import add_ring_world, make_scene
-from tofssm_drake.diagrams.scenario import Scenario
+from tofssm_drake.diagrams.scenario import Scenario, find_rtde
 from tofssm_drake.diagrams.sensors.rings import find_rings
 from tofssm_drake.diagrams.station import Station
 from tofssm_drake.diagrams.tasks import make_task_path
+from tofssm_drake.errors import require
 from tofssm_drake.laws.sensing_problem import SensingProblem
+from tofssm_drake.messages import RTDE_JOINTS
 from tofssm_drake.ringlink.ring_systems import (
     RingInterfaceSystem,
     RingSubscriberSystem,
@@ -52,7 +55,6 @@ def make_hardware_station(
     robot: HeldRobot,
     rings: HeldRings | None = None,
     slider: SliderConfig | None = None,
-    gripper_output: int = 0,
 ) -> HardwareStation:
     """Makes the real cell: robot and rings as reported, and a twin for display.
 
@@ -74,10 +76,9 @@ def make_hardware_station(
         - geometry_query
         - skeleton
 
-    The ports and their order are those of `make_station`; in addition, the
-    slider's control sees from `separation` whether the sensing is fresh and
-    healthy. A real person is unknown: the scene has none, and `skeleton` is
-    empty.
+    The ports and their order are those of `make_station`. The slider's control
+    sees from `separation` whether the sensing is fresh and healthy. A real
+    person is unknown: the scene has none, and `skeleton` is empty.
 
     Commands are sent only in forced publish events of `robot_publisher`: once
     per report, after the monitor has seen it.
@@ -87,11 +88,13 @@ def make_hardware_station(
         robot: Where reports come from and commands go.
         rings: Where scans come from; None simulates them in the twin, around
             the real robot and with the scenario's person.
-        slider: Settings of the slider.
-        gripper_output: Number of the digital output that closes the gripper.
+        slider: Settings of the slider; None: the scenario's.
 
     Returns:
         The station.
+
+    Raises:
+        UserError: RTDE is not for such an arm.
     """
     builder = DiagramBuilder()
     seen = scenario
@@ -99,13 +102,19 @@ def make_hardware_station(
         # Nobody is simulated whom the twin could see.
         seen = dc.replace(scenario, people={}, obstacles={})
     scene_graph, plant = make_scene(builder, seen)
-    path = make_task_path(
-        scenario.task, ArmKinematics.from_plant(plant), scenario.robot
+    kinematics = ArmKinematics.from_plant(plant)
+    require(
+        kinematics.num_joints == RTDE_JOINTS,
+        f"robot: RTDE is for arms of {RTDE_JOINTS} joints, this one has "
+        f"{kinematics.num_joints}",
     )
+    path = make_task_path(scenario.task, kinematics, scenario.robot)
     subscriber, receiver, commanded = _add_robot(
         builder,
         robot,
-        RobotReportReceiver(path=path, gripper_output=gripper_output),
+        RobotReportReceiver(
+            path=path, gripper_output=find_rtde(scenario).gripper_output
+        ),
     )
     if rings is not None:
         _add_rings(builder, rings, tuple(find_rings(scenario.sensors)))
@@ -120,8 +129,8 @@ def make_hardware_station(
         with_sensors=rings is None,
     )
     slider = dc.replace(
-        SliderConfig() if slider is None else slider,
-        joint_speeds=tuple(plant.GetVelocityUpperLimits()[:6].tolist()),
+        make_slider_config(scenario) if slider is None else slider,
+        joint_speeds=tuple(ArmLimits.from_plant(plant).speed.tolist()),
     )
     _add_slider(
         builder, subscriber, commanded, slider, scenario.law.traits.deadline
@@ -140,6 +149,22 @@ def make_hardware_station(
         nominal_duration=path.duration,
         robot=robot,
         rings=rings,
+    )
+
+
+def make_slider_config(scenario: Scenario) -> SliderConfig:
+    """Returns the scenario's settings of the slider.
+
+    The joints' speeds are not yet those of its robot.
+
+    Args:
+        scenario: Checked settings.
+    """
+    driver = find_rtde(scenario)
+    return SliderConfig(
+        **vars(driver.slider),
+        arm=driver.checks.arm,
+        reduced_fraction=scenario.law.traits.reduced_fraction,
     )
 
 

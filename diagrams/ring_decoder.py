@@ -1,6 +1,6 @@
 """Makes the decoder for the frames of a scenario's real rings."""
 
-from tofssm_drake.diagrams.scenario import Scenario
+from tofssm_drake.diagrams.scenario import Scenario, find_rtde
 from tofssm_drake.diagrams.sensors.rings import Ring, find_rings
 from tofssm_drake.ringlink.ring_budget import RingBudget, calc_max_age
 from tofssm_drake.ringlink.ring_receiver import RingDecoder, RingLinkConfig
@@ -43,12 +43,12 @@ def make_ring_decoder(
 
     Args:
         scenario: Checked settings; uses rings, law and audit.
-        config: Of the link; None: the default.
+        config: Of the link; None: the scenario's.
         control_period: Control tick, s; None: that of the scenario.
     """
     rings = find_rings(scenario.sensors)
     return RingDecoder(
-        config=RingLinkConfig() if config is None else config,
+        config=find_rtde(scenario).ring_link if config is None else config,
         rings=rings,
         budget={
             name: make_ring_budget(scenario, ring, control_period)

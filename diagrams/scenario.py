@@ -19,6 +19,7 @@ from tofssm_drake.arms.arm_file import find_model_file
 from tofssm_drake.arms.cell_plant import WORKCELL
 from tofssm_drake.arms.sim_arm import Simulated
 from tofssm_drake.arms.ur_arm import UrArm
+from tofssm_drake.diagrams.rtde_driver import Rtde
 from tofssm_drake.diagrams.sensors import (
     MotionCapture,
     PlanarLidar,
@@ -92,8 +93,8 @@ class Scenario:
     # The arm: where it stands, its tool, what the sensors see of it.
     robot: UrArm | Arm = dc.field(default_factory=UrArm)
 
-    # How the simulated arm is driven.
-    driver: Simulated = dc.field(default_factory=Simulated)
+    # What drives the arm: a simulation of its dynamics, or a real controller.
+    driver: Simulated | Rtde = dc.field(default_factory=Simulated)
 
     # The task: where the products are and how fast the arm moves.
     task: PickAndPlace | Waypoints | NoTask = dc.field(
@@ -178,6 +179,8 @@ class Scenario:
 
     def _check_ticks(self, at):
         """Raises UserError unless a control tick is whole plant steps."""
+        if not isinstance(self.driver, Simulated):
+            return
         tick = self.control_period
         steps = tick / self.driver.time_step
         require(
@@ -207,6 +210,12 @@ def find_lidars(scenario: Scenario) -> dict[str, PlanarLidar]:
         for name, sensor in scenario.sensors.items()
         if isinstance(sensor, PlanarLidar)
     }
+
+
+def find_rtde(scenario: Scenario) -> Rtde:
+    """Returns the settings of the real cell; the default if it has none."""
+    driver = scenario.driver
+    return driver if isinstance(driver, Rtde) else Rtde()
 
 
 def find_threshold_offsets(scenario: Scenario) -> np.ndarray:

@@ -12,7 +12,7 @@ from pydrake.systems.analysis import Simulator
 from tofssm_drake.arms.cell_plant import make_cell_plant
 from tofssm_drake.arms.kinematics import ArmKinematics
 from tofssm_drake.diagrams.ring_world import make_ring_world
-from tofssm_drake.diagrams.scenario import Scenario
+from tofssm_drake.diagrams.scenario import Scenario, find_rtde
 from tofssm_drake.diagrams.sensors.rings import find_rings
 from tofssm_drake.diagrams.tasks import make_task_path
 from tofssm_drake.ringlink.ring_device import DeviceClock, make_frame
@@ -105,7 +105,6 @@ class SimulatedRings:
         *,
         scenario: Scenario,
         ring_numbers: Sequence[int] = (),
-        gripper_output: int = 0,
         clocks: Sequence[DeviceClock] | None = None,
         faults: Sequence[RingFault] = (),
         send: Callable[[RingFrame, bool], bool],
@@ -115,7 +114,6 @@ class SimulatedRings:
         Args:
             scenario: Checked settings; uses rings, person, task and seed.
             ring_numbers: Numbers of the rings in the frames; none: 0, 1, 2, ...
-            gripper_output: Bit of the robot's outputs that closes the gripper.
             clocks: Of the rings' devices; None: they show the world's time.
             faults: Faults to inject; their times are the world's.
             send: Called with each frame and whether to damage it on the way;
@@ -123,7 +121,7 @@ class SimulatedRings:
         """
         self._rings = find_rings(scenario.sensors)
         self._ring_numbers = ring_numbers or range(len(self._rings))
-        self._gripper_output = gripper_output
+        self._gripper_output = find_rtde(scenario).gripper_output
         self._clocks = clocks or [DeviceClock()] * len(self._rings)
         self._injectors = [
             FaultInjector(f for f in faults if f.ring == ring)

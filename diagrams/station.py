@@ -2,17 +2,21 @@
 
 import dataclasses as dc
 
+from pydrake.common.value import Value
 from pydrake.geometry import SceneGraph
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.systems.framework import Diagram, DiagramBuilder
+from pydrake.systems.primitives import PassThrough
 
 from tofssm_drake.arms.cell_plant import make_cell_plant
 from tofssm_drake.arms.kinematics import ArmKinematics
-from tofssm_drake.arms.sim_arm import make_sim_arm
+from tofssm_drake.arms.sim_arm import Simulated, make_sim_arm
 from tofssm_drake.diagrams.people import People
 from tofssm_drake.diagrams.ring_world import add_ring_world, make_scene
-from tofssm_drake.diagrams.scenario import Scenario
+from tofssm_drake.diagrams.scenario import Scenario, find_links
 from tofssm_drake.diagrams.tasks import make_task_path, require_supported
+from tofssm_drake.errors import require
+from tofssm_drake.messages import make_empty_separation
 from tofssm_drake.tasks.program import TaskProgram
 
 
@@ -39,6 +43,7 @@ def make_station(scenario: Scenario) -> Station:
         name: station
         input_ports:
         - speed_fraction
+        - separation
         output_ports:
         - scan_base
         - scan_elbow
@@ -56,6 +61,9 @@ def make_station(scenario: Scenario) -> Station:
     task is; the last two ports are ground truth, for evaluation and display
     only.
 
+    It ignores `separation`: the port is there since the station of a real robot
+    (`make_hardware_station`) has it, and one may take the other's place.
+
     With the sensing `lidar` there is `scan_lidar` in place of the rings' scans;
     with `ideal` there are no scans.
 
@@ -64,7 +72,15 @@ def make_station(scenario: Scenario) -> Station:
 
     Returns:
         The station.
+
+    Raises:
+        UserError: The scenario's driver is a real robot.
     """
+    require(
+        isinstance(scenario.driver, Simulated),
+        "driver: !Rtde is a real robot: run it with tofssm hardware, or "
+        "simulate the cell with --scenario-text '{driver: !Simulated {}}'",
+    )
     builder = DiagramBuilder()
     scene_graph, plant = make_scene(builder, scenario)
     kinematics = ArmKinematics.from_plant(plant)
@@ -100,6 +116,11 @@ def make_station(scenario: Scenario) -> Station:
     builder.ExportInput(
         program.GetInputPort("speed_fraction"), "speed_fraction"
     )
+    ignored = builder.AddNamedSystem(
+        "ignored_separation",
+        PassThrough(Value(make_empty_separation(find_links(scenario)))),
+    )
+    builder.ExportInput(ignored.get_input_port(), "separation")
     for name in ("position_measured", "velocity_measured"):
         builder.ExportOutput(robot.GetOutputPort(name), name)
     for name in ("carried_objects", "products_placed", "task_done"):

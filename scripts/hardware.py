@@ -1,5 +1,6 @@
 """`tofssm hardware`: options of the monitor on a real robot."""
 
+import dataclasses as dc
 import math
 from pathlib import Path
 import shlex
@@ -9,36 +10,34 @@ from typing import Annotated
 import typer
 
 from tofssm_drake.diagrams.hardware_run import require_control_period
-from tofssm_drake.diagrams.scenario import load_scenario
+from tofssm_drake.diagrams.hardware_station import make_slider_config
+from tofssm_drake.diagrams.rtde_driver import VIRTUAL
+from tofssm_drake.diagrams.scenario import find_rtde, load_scenario
 from tofssm_drake.diagrams.sensors.rings import find_rings
 from tofssm_drake.errors import require
-from tofssm_drake.ringlink.ring_address import (
-    parse_ring_address,
-    require_distinct,
-)
-from tofssm_drake.rtde.slider import SliderConfig
 from tofssm_drake.scripts.hardware_session import SessionSettings, run_session
 import tofssm_drake.scripts.options as options
 from tofssm_drake.scripts.simulate import override
 
-_VIRTUAL = "virtual"
-# The robot must start this close to the scenario's program, rad.
-_NEAR_PROGRAM = 0.5
-
 
 def hardware(
     robot_host: Annotated[
-        str, typer.Option(help="Address of the robot, real or simulated.")
-    ],
+        str | None,
+        typer.Option(
+            help="Address of the robot, real or simulated; default: the "
+            "scenario's."
+        ),
+    ] = None,
     rings: Annotated[
-        list[str],
+        list[str] | None,
         typer.Option(
             help="Where the rings' frames come from; can be repeated. "
-            "virtual simulates the rings around the real robot.",
+            "virtual simulates the rings around the real robot. Default: the "
+            "scenario's.",
             metavar="udp://ADDRESS:PORT|serial:///dev/NAME|virtual",
         ),
-    ],
-    robot_port: options.RobotPort = 30004,
+    ] = None,
+    robot_port: options.RobotPort = None,
     robot_text: options.RobotText = "",
     allow_remote: Annotated[
         bool,
@@ -82,14 +81,17 @@ def hardware(
     ] = False,
     checks_text: options.ChecksText = "",
     minimum_fraction: Annotated[
-        float,
-        typer.Option(help="Slider position when stopped, 0 to 0.1."),
-    ] = 0.0,
+        float | None,
+        typer.Option(
+            help="Slider position when stopped, 0 to 0.1; default: the "
+            "scenario's."
+        ),
+    ] = None,
     slider_limit: Annotated[
         float | None,
         typer.Option(
             help="Highest slider position, until a person moves the slider. "
-            "Default: where it stands at the start.",
+            "Default: the scenario's, or where it stands at the start.",
         ),
     ] = None,
     control_period: Annotated[
@@ -144,16 +146,12 @@ def hardware(
     )
     require(duration >= 0.0, f"--duration: must be 0 or more, got {duration:g}")
     require_control_period(control_period)
-    is_virtual = _check_rings(rings, human_motion=human_motion, seed=seed)
-    addresses = (
-        []
-        if is_virtual
-        else [parse_ring_address(r, allow_remote=allow_remote) for r in rings]
-    )
-    require_distinct(addresses)
     scenario = load_scenario(
         filename=scenario_file, name=scenario_name, text=scenario_text
     )
+    scenario.driver = driver = dc.replace(find_rtde(scenario))
+    driver.allow_remote |= allow_remote
+    addresses = _take_rings(driver, rings, human_motion=human_motion, seed=seed)
     override(
         scenario,
         ssm=ssm,
@@ -165,23 +163,29 @@ def hardware(
         "sensors: only rings are known to the ring link; others are for "
         "simulations",
     )
-    if not is_virtual:
+    if not driver.is_virtual:
         scenario.people = {}
-    checks = options.make_robot_checks(checks_text, allow_no_pose=allow_no_pose)
-    slider = _make_slider_config(minimum_fraction, slider_limit, scenario)
-    slider.arm = checks.arm
+    driver.checks = options.make_robot_checks(
+        checks_text, allow_no_pose=allow_no_pose, base=driver.checks
+    )
+    driver.robot = options.make_robot_config(
+        robot_host,
+        robot_port,
+        robot_text,
+        write=not dry_run,
+        base=driver.robot,
+    )
+    _change_slider(driver, minimum_fraction, slider_limit, scenario)
     return run_session(
         SessionSettings(
             scenario=scenario,
             scenario_name=scenario_name,
-            addresses=tuple(addresses),
-            robot=options.make_robot_config(
-                robot_host, robot_port, robot_text, write=not dry_run
-            ),
-            slider=slider,
-            checks=checks,
-            is_dry_run=dry_run,
-            max_deviation=math.inf if any_pose else _NEAR_PROGRAM,
+            addresses=addresses,
+            robot=driver.robot,
+            slider=make_slider_config(scenario),
+            checks=driver.checks,
+            is_dry_run=not driver.robot.write,
+            max_deviation=math.inf if any_pose else driver.max_deviation,
             control_period=control_period,
             wait=wait,
             duration=duration,
@@ -194,38 +198,54 @@ def hardware(
     )
 
 
-def _check_rings(rings, **virtual_only):
-    """Returns whether the rings are simulated; raises if options clash."""
-    is_virtual = rings == [_VIRTUAL]
+def _take_rings(driver, rings, **virtual_only):
+    """Takes --rings, if given; returns the addresses of the rings.
+
+    Args:
+        driver: Of the cell; changed.
+        rings: --rings.
+        **virtual_only: Options that are for simulated rings.
+
+    Raises:
+        UserError: There are none, one is wrong, or options clash.
+    """
+    where = "driver.rings"
+    if rings:
+        driver.rings, where = rings, "--rings"
     require(
-        is_virtual or _VIRTUAL not in rings,
-        f"--rings: {_VIRTUAL} stands alone, got {', '.join(rings)}",
+        bool(driver.rings),
+        "--rings: nothing says where the rings' frames come from; give an "
+        f"address, or --rings {VIRTUAL} to simulate them",
     )
+    driver.check_rings(where)
     for name, value in virtual_only.items():
         require(
-            is_virtual or value is None,
-            f"--{name.replace('_', '-')}: is only for --rings {_VIRTUAL}, got "
-            f"--rings {', '.join(rings)}",
+            driver.is_virtual or value is None,
+            f"--{name.replace('_', '-')}: is only for --rings {VIRTUAL}, got "
+            f"{where} {', '.join(driver.rings)}",
         )
-    return is_virtual
+    return driver.parse_rings(where)
 
 
-def _make_slider_config(minimum_fraction, slider_limit, scenario):
-    """Returns checked settings of the slider; errors name the options."""
-    config = SliderConfig(
-        minimum_fraction=minimum_fraction, operator_limit=slider_limit
+def _change_slider(driver, minimum_fraction, slider_limit, scenario):
+    """Sets what the options say of the slider; errors name the options."""
+    given = {
+        "minimum_fraction": minimum_fraction,
+        "operator_limit": slider_limit,
+    }
+    driver.slider = dc.replace(
+        driver.slider, **{k: v for k, v in given.items() if v is not None}
     )
     option = {
         "slider.minimum_fraction": "--minimum-fraction",
         "slider.operator_limit": "--slider-limit",
     }
     with options.blame(option):
-        config.check("slider")
+        driver.slider.check("slider")
+    lowest = driver.slider.minimum_fraction
     reduced = scenario.law.traits.reduced_fraction
     require(
-        minimum_fraction < reduced,
+        lowest < reduced,
         "--minimum-fraction: must be below the law's reduced speed fraction, "
-        f"{reduced:g}, got {minimum_fraction:g}",
+        f"{reduced:g}, got {lowest:g}",
     )
-    config.reduced_fraction = reduced
-    return config

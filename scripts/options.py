@@ -47,7 +47,10 @@ HumanMotion = Annotated[
     ),
 ]
 Seed = Annotated[int | None, typer.Option(help="Seed of the sensors' errors.")]
-RobotPort = Annotated[int, typer.Option(help="The robot's RTDE port.")]
+RobotPort = Annotated[
+    int | None,
+    typer.Option(help="The robot's RTDE port; default: the scenario's."),
+]
 RobotText = Annotated[
     str,
     typer.Option(
@@ -64,55 +67,65 @@ ChecksText = Annotated[
 ]
 
 
-def make_robot_checks(text: str, *, allow_no_pose: bool) -> RobotChecks:
+def make_robot_checks(
+    text: str, *, allow_no_pose: bool, base: RobotChecks
+) -> RobotChecks:
     """Returns the settings of the robot's checks, validated.
 
     Args:
         text: --checks-text.
+        base: What it changes: the scenario's.
         allow_no_pose: --allow-no-pose.
 
     Raises:
         UserError: A setting is unknown, out of range or has its own option.
     """
-    checks = change_settings(
-        RobotChecks(), text, source="--checks-text", where="checks"
-    )
+    checks = change_settings(base, text, source="--checks-text", where="checks")
     require(
-        not checks.model.allow_no_pose,
+        checks.model.allow_no_pose == base.model.allow_no_pose,
         "--checks-text: checks.model.allow_no_pose: use --allow-no-pose",
     )
-    checks.model.allow_no_pose = allow_no_pose
+    checks.model.allow_no_pose |= allow_no_pose
     checks.check("checks")
     return checks
 
 
 def make_robot_config(
-    host: str, port: int, text: str, *, write: bool
+    host: str | None,
+    port: int | None,
+    text: str,
+    *,
+    write: bool,
+    base: RtdeConfig,
 ) -> RtdeConfig:
     """Returns the settings of the connection to the robot, validated.
 
     Args:
-        host: --robot-host.
-        port: --robot-port.
+        host: --robot-host; None: that of `base`.
+        port: --robot-port; likewise.
         text: --robot-text.
-        write: Whether to claim slider and heartbeat.
+        write: Whether to claim slider and heartbeat, if `base` does.
+        base: What the options change: the scenario's.
 
     Raises:
         UserError: A setting is unknown, out of range or has its own option.
     """
-    settings = change_settings(
-        RtdeConfig(), text, source="--robot-text", where="robot"
-    )
+    settings = change_settings(base, text, source="--robot-text", where="robot")
     for name, option in (
         ("host", "--robot-host"),
         ("port", "--robot-port"),
         ("write", "--dry-run"),
     ):
         require(
-            getattr(settings, name) == getattr(RtdeConfig(), name),
+            getattr(settings, name) == getattr(base, name),
             f"--robot-text: robot.{name}: use {option}",
         )
-    settings = dc.replace(settings, host=host, port=port, write=write)
+    settings = dc.replace(
+        settings,
+        host=base.host if host is None else host,
+        port=base.port if port is None else port,
+        write=write and base.write,
+    )
     with blame({"robot.host": "--robot-host", "robot.port": "--robot-port"}):
         settings.check("robot")
     return settings

@@ -7,7 +7,7 @@ from typing import Annotated
 from rich.console import Console
 import typer
 
-from tofssm_drake.diagrams.scenario import load_scenario
+from tofssm_drake.diagrams.scenario import find_rtde, load_scenario
 from tofssm_drake.diagrams.sensors.rings import find_rings
 from tofssm_drake.diagrams.simulated_rings import (
     SimulatedRings,
@@ -37,9 +37,13 @@ _console = Console(
 
 def simulated_rings(
     robot_host: Annotated[
-        str, typer.Option(help="Address of the robot, real or simulated.")
-    ] = "127.0.0.1",
-    robot_port: options.RobotPort = 30004,
+        str | None,
+        typer.Option(
+            help="Address of the robot, real or simulated; default: the "
+            "scenario's."
+        ),
+    ] = None,
+    robot_port: options.RobotPort = None,
     robot_text: options.RobotText = "",
     to: Annotated[
         str | None,
@@ -102,7 +106,11 @@ def simulated_rings(
     require(bool(counts), "sensors: there is no ring to simulate")
     faults = [parse_ring_fault(text, counts) for text in fault or []]
     config = options.make_robot_config(
-        robot_host, robot_port, robot_text, write=False
+        robot_host,
+        robot_port,
+        robot_text,
+        write=False,
+        base=find_rtde(scenario).robot,
     )
     sender = PtySender() if address is None else UdpSender(address)
     try:

@@ -7,7 +7,7 @@ import typer
 from tofssm_drake.arms.cell_plant import make_cell_plant
 from tofssm_drake.arms.kinematics import ArmKinematics
 from tofssm_drake.arms.ur_arm import UrArm
-from tofssm_drake.diagrams.scenario import load_scenario
+from tofssm_drake.diagrams.scenario import Scenario, find_rtde, load_scenario
 from tofssm_drake.diagrams.tasks import make_task_path
 from tofssm_drake.errors import require
 from tofssm_drake.rtde.rtde_server import Faults, RtdeServer
@@ -111,8 +111,12 @@ def simulated_ur(
         model,
         products,
     )
+    driver = find_rtde(scenario)
     config = SimulatedUrConfig(
-        series=series or _find_series(scenario.robot),
+        heartbeat_register=driver.robot.heartbeat_register,
+        products_register=driver.robot.products_register,
+        gripper_output=driver.gripper_output,
+        series=series or find_series(scenario.robot),
         loop=loop,
         start=start,
         ramp=ramp,
@@ -138,7 +142,7 @@ def simulated_ur(
     require(fragment >= 0, f"--fragment: must be 0 or more, got {fragment}")
     with catch_stop() as stopped:
         with interrupt_on_stop(stopped, "interrupted before the start"):
-            robot = _make_robot(config, scenario)
+            robot = make_robot(config, scenario)
         server = RtdeServer(
             robot=robot,
             host=host,
@@ -177,13 +181,18 @@ def _find_scenario(scenario, model, products):
     return scenario
 
 
-def _find_series(robot):
-    """Returns the series of a model: only the UR10 here is a CB3."""
+def find_series(robot: UrArm) -> str:
+    """Returns the series of an arm: only the UR10 here is a CB3."""
     return "cb3" if robot.model == "ur10" else "e"
 
 
-def _make_robot(config, scenario):
-    """Returns a robot whose kernels are compiled."""
+def make_robot(config: SimulatedUrConfig, scenario: Scenario) -> SimulatedUr:
+    """Returns a robot whose kernels are compiled.
+
+    Args:
+        config: Settings; checked.
+        scenario: Of robot and program.
+    """
     kinematics = ArmKinematics.from_plant(make_cell_plant(arm=scenario.robot))
     robot = SimulatedUr(
         config=config,

@@ -342,13 +342,13 @@ class SpeedDecision(_Frozen):
         return classify_target(self.target)
 
 
-UR_JOINTS = 6
+RTDE_JOINTS = 6
 """Joints of every robot that RTDE is spoken with."""
 
 
 def _make_unknown():
     """Returns six numbers that a robot did not send."""
-    return np.full(UR_JOINTS, np.nan)
+    return np.full(RTDE_JOINTS, np.nan)
 
 
 @dc.dataclass(frozen=True, eq=False, kw_only=True)

@@ -64,7 +64,9 @@ class TestPorts(unittest.TestCase):
         cls.monitor = make_monitor(cls.scenario)
 
     def test_station(self):
-        self.assertEqual(set(get_inputs(self.station)), {"speed_fraction"})
+        self.assertEqual(
+            set(get_inputs(self.station)), {"speed_fraction", "separation"}
+        )
         self.assertEqual(
             set(get_outputs(self.station)),
             {
@@ -133,11 +135,16 @@ class TestConnections(unittest.TestCase):
             {name: ("station", name) for name in {*_SCANS, *_REPORT}},
         )
 
-    def test_station_gets_the_speed_fraction_and_nothing_else(self):
+    def test_station_gets_speed_fraction_and_separation_only(self):
+        names = ("speed_fraction", "separation")
         self.assertEqual(
             self.find_sources("station"),
-            {"speed_fraction": ("monitor", "speed_fraction")},
+            {name: ("monitor", name) for name in names},
         )
+
+    def test_simulated_station_ignores_the_separation(self):
+        connections = find_connections(self.workcell.station.diagram)
+        self.assertEqual(find_reached(connections, "ignored_separation"), set())
 
     def test_observers_feed_nothing_back(self):
         systems = {s.get_name() for s in self.workcell.diagram.GetSystems()}

@@ -208,6 +208,12 @@ class TestDump(unittest.TestCase):
                 "Default",
                 "{people: {visitor: !BvhRecording {filename: a, end_time: 3}}}",
             ),
+            ("Default", "{driver: !Rtde {}}"),
+            (
+                "Default",
+                "{driver: !Rtde {rings: [virtual], slider: {operator_limit: "
+                "0.5}, robot: {host: there}}}",
+            ),
             (
                 "Default",
                 "{sensors: {tool: {sensor: {wrap_probability: 1.0e-9}}}}",

@@ -347,6 +347,10 @@ BAD_INPUT = {
         _text("{task: {pick_center: [0.0, -3.0, 0.7]}}"),
         "out of the robot's reach",
     ),
+    "real_robot": (
+        _text("{driver: !Rtde {}}"),
+        "driver: !Rtde is a real robot: run it with tofssm hardware",
+    ),
     "time_step_does_not_fit": (
         _text("{driver: {time_step: 0.003}}"),
         "driver.time_step: control_period (0.008) must be a multiple",

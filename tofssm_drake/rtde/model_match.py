@@ -81,7 +81,10 @@ class ModelMatch:
 
 
 def start_model_match(
-    config: ModelConfig, kinematics: ArmKinematics, report: RobotReport
+    config: ModelConfig,
+    kinematics: ArmKinematics,
+    report: RobotReport,
+    arm: str = "the modelled arm",
 ) -> ModelMatch:
     """Compares the first report; a difference counts at once.
 
@@ -89,6 +92,7 @@ def start_model_match(
         config: Settings; checked.
         kinematics: Of the modelled robot.
         report: Its position is finite.
+        arm: What the modelled robot is, for the message.
 
     Returns:
         The state for `step_model_match`.
@@ -104,7 +108,9 @@ def start_model_match(
         )
     match = _infer_offset(kinematics, ModelMatch(), report)
     problem = find_mismatch(config, kinematics, match, report)
-    require(not problem, f"robot: {problem}")
+    require(
+        not problem, f"robot: {problem}; it is not {arm}, or is set up wrongly"
+    )
     return match
 
 

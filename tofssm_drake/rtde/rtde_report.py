@@ -4,10 +4,12 @@ import math
 
 import numpy as np
 
-from tofssm_drake.messages import RobotReport
+from tofssm_drake.messages import RTDE_JOINTS, RobotReport
 import tofssm_drake.rtde.rtde_protocol as rtde
 from tofssm_drake.rtde.rtde_protocol import RtdeError
 
+# Numbers of a vector: one for each joint, or position and rotation of the tool.
+_SIX = RTDE_JOINTS
 # Vectors first, so that one array holds all of them.
 _VECTORS = {
     "position": "actual_q",
@@ -120,8 +122,8 @@ class ReportMaker:
         Raises:
             RtdeError: A number is not finite.
         """
-        count = 6 * len(self._vectors)
-        vectors = np.array(flat[:count]).reshape(-1, 6)
+        count = _SIX * len(self._vectors)
+        vectors = np.array(flat[:count]).reshape(-1, _SIX)
         vectors.setflags(write=False)
         values = dict(zip(self._scalars, flat[count:], strict=True))
         timestamp = values["timestamp"]

@@ -17,6 +17,7 @@ import time
 from typing import cast
 
 from tofssm_drake.errors import UserError
+from tofssm_drake.messages import RTDE_JOINTS
 from tofssm_drake.rtde.rtde_fields import (
     RobotMode,
     RuntimeState,
@@ -617,7 +618,7 @@ def _parse_count(value):
 def _parse_joint_offset(value):
     """Returns a joint's index and its offset, rad."""
     joint, offset = value.split()
-    if not 1 <= int(joint) <= 6:
+    if not 1 <= int(joint) <= RTDE_JOINTS:
         raise ValueError(value)
     return int(joint) - 1, _parse_number(offset)
 

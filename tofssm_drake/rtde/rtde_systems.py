@@ -21,7 +21,7 @@ from pydrake.systems.framework import (
 )
 
 from tofssm_drake.errors import UserError, require
-from tofssm_drake.messages import UR_JOINTS, RobotReport, SliderCommand
+from tofssm_drake.messages import RTDE_JOINTS, RobotReport, SliderCommand
 from tofssm_drake.rtde.robot_connection import RobotConnection
 from tofssm_drake.rtde.slider import (
     SliderConfig,
@@ -221,11 +221,11 @@ class RobotReportReceiver(LeafSystem):
         )
         ticket = {self._report.ticket()}
         for name, size, read in (
-            ("position_measured", UR_JOINTS, lambda r: r.position),
-            ("velocity_measured", UR_JOINTS, lambda r: r.velocity),
+            ("position_measured", RTDE_JOINTS, lambda r: r.position),
+            ("velocity_measured", RTDE_JOINTS, lambda r: r.velocity),
             (
                 "acceleration_commanded",
-                UR_JOINTS,
+                RTDE_JOINTS,
                 lambda r: r.acceleration_commanded,
             ),
             ("tcp_pose_measured", 6, lambda r: r.tcp_pose),

@@ -1,4 +1,4 @@
-"""A simulated UR10 with program, slider, modes and registers; no sockets.
+"""A simulated UR with program, slider, modes and registers; no sockets.
 
 It stands in for a robot and its controller. `step` is one control cycle:
 received inputs are applied, the program advances at the speed that the slider
@@ -15,6 +15,7 @@ from pydrake.math import RotationMatrix
 
 from tofssm_drake.arms.kinematics import ArmKinematics
 from tofssm_drake.errors import require
+from tofssm_drake.messages import RTDE_JOINTS
 from tofssm_drake.rtde.model_match import compose, make_pose
 from tofssm_drake.rtde.rtde_fields import (
     ECHOED_TYPES,
@@ -175,7 +176,7 @@ class SimulatedUr:
         """A fault to inject: the slider moves, but the arm ignores it."""
         self.slowest_fraction = 0.0
         """A fault to inject: the arm follows the slider only down to this."""
-        self.joint_offset = np.zeros(6)
+        self.joint_offset = np.zeros(RTDE_JOINTS)
         """A fault to inject: error of the reported joints, rad, (6,); the
         tool's pose is right."""
         self.joints_late = 0.0
@@ -186,9 +187,9 @@ class SimulatedUr:
         self.tcp_offset = calc_tcp_offset(kinematics)
         """Tool in the flange as the robot is set up: x, y, z, rotation
         vector, m, rad, (6,); initially the modelled tool's."""
-        self.position = np.zeros(6)
+        self.position = np.zeros(RTDE_JOINTS)
         """True joint angles, rad, (6,), whatever is reported."""
-        self.velocity = np.zeros(6)
+        self.velocity = np.zeros(RTDE_JOINTS)
         """True joint speeds, rad/s, (6,)."""
         self._joints: collections.deque[tuple] = collections.deque(
             maxlen=round(_MOST_LATE * self.rate) + 1
@@ -202,7 +203,7 @@ class SimulatedUr:
         self._beat_cycle = 0
         if config.start == "now":
             self.play()
-        self._write_outputs(np.zeros(6))
+        self._write_outputs(np.zeros(RTDE_JOINTS))
 
     def receive(self, values: dict) -> None:
         """Takes inputs written by a client, for the next cycle."""
@@ -493,11 +494,11 @@ def _list_output_types(series):
 def _make_outputs(types):
     """Returns outputs of these types, before the first control cycle."""
     return {name: _make_zero(kind) for name, kind in types.items()} | {
-        "joint_temperatures": (30.0,) * 6,
-        "joint_mode": (253,) * 6,
+        "joint_temperatures": (30.0,) * RTDE_JOINTS,
+        "joint_mode": (253,) * RTDE_JOINTS,
         "actual_main_voltage": 48.0,
         "actual_robot_voltage": 48.0,
-        "actual_joint_voltage": (48.0,) * 6,
+        "actual_joint_voltage": (48.0,) * RTDE_JOINTS,
         "robot_mode": int(RobotMode.RUNNING),
         "speed_scaling": 1.0,
     }

@@ -40,8 +40,8 @@ _OFFENCE = 1.0
 
 
 @dc.dataclass(kw_only=True)
-class SliderConfig:
-    """How the speed slider is used."""
+class SliderSettings:
+    """How the speed slider of a cell's robot is used."""
 
     # The echo must follow a write within this many reports, one per control
     # cycle. If not, the value is written once more; if that does not help
@@ -65,7 +65,6 @@ class SliderConfig:
     # On the way back to full speed the slider must stay at the safety law's
     # fraction of the reduced state for this long, s, without a problem
     # (assumed: five times the greatest age of a ring's sample).
-    reduced_fraction: float = 0.5
     recovery_time: float = 0.5
 
     # If a fault ends before the law has slowed the robot that far, the slider
@@ -80,13 +79,6 @@ class SliderConfig:
     # it stands at the start, since a person may have set it there. If an
     # earlier run left it at 0, it stays there until someone raises it.
     operator_limit: float | None = None
-
-    # How fast the arm must follow the slider.
-    arm: ArmConfig = dc.field(default_factory=ArmConfig)
-
-    # Greatest speed of each joint, rad/s, from the robot model. These are a
-    # UR10's (Universal Robots' user manual).
-    joint_speeds: tuple[float, ...] = (2.0944, 2.0944, *4 * (3.1416,))
 
     def check(self, where: str) -> None:
         """Raises UserError with one line if a setting is out of range."""
@@ -112,12 +104,6 @@ class SliderConfig:
                 f"got {getattr(self, name):g}",
             )
         require(
-            self.minimum_fraction < self.reduced_fraction < 1,
-            f"{where}.reduced_fraction: must be above minimum_fraction, "
-            f"{self.minimum_fraction:g}, and below 1, "
-            f"got {self.reduced_fraction:g}",
-        )
-        require(
             0 <= self.recovery_time <= 60,
             f"{where}.recovery_time: must be from 0 to 60 s, "
             f"got {self.recovery_time:g}",
@@ -126,6 +112,31 @@ class SliderConfig:
             self.operator_limit is None or 0 < self.operator_limit <= 1,
             f"{where}.operator_limit: must be above 0 and at most 1, "
             f"got {self.operator_limit}",
+        )
+
+
+@dc.dataclass(kw_only=True)
+class SliderConfig(SliderSettings):
+    """The same, with what law, robot and its checks add."""
+
+    # The safety law's fraction of the reduced state.
+    reduced_fraction: float = 0.5
+
+    # How fast the arm must follow the slider.
+    arm: ArmConfig = dc.field(default_factory=ArmConfig)
+
+    # Greatest speed of each joint, rad/s, from the robot model. These are a
+    # UR10's (Universal Robots' user manual).
+    joint_speeds: tuple[float, ...] = (2.0944, 2.0944, *4 * (3.1416,))
+
+    def check(self, where: str) -> None:
+        """Raises UserError with one line if a setting is out of range."""
+        super().check(where)
+        require(
+            self.minimum_fraction < self.reduced_fraction < 1,
+            f"{where}.reduced_fraction: must be above minimum_fraction, "
+            f"{self.minimum_fraction:g}, and below 1, "
+            f"got {self.reduced_fraction:g}",
         )
         self.arm.check(f"{where}.arm")
 
