@@ -11,7 +11,7 @@ from pydrake.systems.framework import Context
 from tofssm_drake.arms.kinematics import ArmKinematics
 from tofssm_drake.diagrams.hardware_station import make_hardware_station
 from tofssm_drake.diagrams.held_connections import HeldRings, HeldRobot
-from tofssm_drake.diagrams.scenario import Scenario
+from tofssm_drake.diagrams.scenario import Scenario, find_links
 from tofssm_drake.diagrams.sensors.rings import find_rings
 from tofssm_drake.diagrams.simulation import make_simulator
 from tofssm_drake.diagrams.tasks import make_task_path
@@ -179,7 +179,9 @@ class HardwareLoop:
         self._warm_up()
         self._begin(random_seed=scenario.random_seed)
         if meshcat is not None:
-            self._board = HealthBoard(meshcat=meshcat)
+            self._board = HealthBoard(
+                meshcat=meshcat, names=(*find_links(scenario), "robot")
+            )
         self._sending = True
 
     @property
@@ -266,7 +268,7 @@ class HardwareLoop:
         )
         q = path.calc_motion(0.0)[0]
         self._station.robot.report = RobotReport(
-            sequence=0, position=q, velocity=np.zeros(6)
+            sequence=0, position=q, velocity=np.zeros_like(q)
         )
         period = max(ring.sensor.period for ring in rings.values())
         for i in range(_WARM_UP):

@@ -15,6 +15,7 @@ import time
 
 import numpy as np
 
+from tofssm_drake.arms.chain import find_chain
 from tofssm_drake.arms.kinematics import ArmKinematics
 from tofssm_drake.diagrams.hardware_loop import (
     HardwareLoop,
@@ -106,7 +107,7 @@ def require_ready(
 
 @dc.dataclass(frozen=True, kw_only=True)
 class JointLimits:
-    """Limits of the robot's joints, (6,) each."""
+    """Limits of the robot's n joints, (n,) each."""
 
     low: tuple[float, ...]
     """Least position, rad."""
@@ -118,10 +119,11 @@ class JointLimits:
     @classmethod
     def from_plant(cls, plant) -> "JointLimits":
         """Returns the limits of the cell's arm."""
+        joints = find_chain(plant).joints
         return cls(
-            low=tuple(plant.GetPositionLowerLimits()[:6].tolist()),
-            high=tuple(plant.GetPositionUpperLimits()[:6].tolist()),
-            speed=tuple(plant.GetVelocityUpperLimits()[:6].tolist()),
+            low=tuple(joint.position_lower_limit() for joint in joints),
+            high=tuple(joint.position_upper_limit() for joint in joints),
+            speed=tuple(joint.velocity_upper_limit() for joint in joints),
         )
 
 

@@ -5,6 +5,7 @@ import dataclasses as dc
 from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import ConstantVectorSource
 
+from tofssm_drake.arms.chain import find_chain
 from tofssm_drake.arms.kinematics import ArmKinematics
 from tofssm_drake.diagrams.held_connections import HeldRings, HeldRobot
 from tofssm_drake.diagrams.ring_world import add_ring_world, make_scene
@@ -63,9 +64,7 @@ def make_hardware_station(
         - speed_fraction
         - separation
         output_ports:
-        - scan_base
-        - scan_elbow
-        - scan_tool
+        - scan_<ring>
         - position_measured
         - velocity_measured
         - gripper_closed
@@ -120,7 +119,9 @@ def make_hardware_station(
     )
     slider = dc.replace(
         SliderConfig() if slider is None else slider,
-        joint_speeds=tuple(plant.GetVelocityUpperLimits()[:6].tolist()),
+        joint_speeds=tuple(
+            joint.velocity_upper_limit() for joint in find_chain(plant).joints
+        ),
     )
     _add_slider(
         builder, subscriber, commanded, slider, scenario.law.traits.deadline

@@ -46,16 +46,12 @@ def make_monitor(
         - velocity_measured
         - gripper_closed
         - products_placed
-        - scan_base
-        - scan_elbow
-        - scan_tool
+        - scan_<ring>
         output_ports:
         - speed_fraction
         - decision
         - separation
-        - masked_scan_base
-        - masked_scan_elbow
-        - masked_scan_tool
+        - masked_scan_<ring>
         - self_hit_health
 
     It sees only what real hardware provides: the sensors' scans, the joints, a

@@ -114,9 +114,7 @@ def make_ring_world(scenario: Scenario) -> Diagram:
         - gripper_closed
         - products_placed
         output_ports:
-        - scan_base
-        - scan_elbow
-        - scan_tool
+        - scan_<ring>
         - geometry_query
         - skeleton
 

@@ -40,9 +40,7 @@ def make_station(scenario: Scenario) -> Station:
         input_ports:
         - speed_fraction
         output_ports:
-        - scan_base
-        - scan_elbow
-        - scan_tool
+        - scan_<ring>
         - position_measured
         - velocity_measured
         - gripper_closed

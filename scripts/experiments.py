@@ -73,7 +73,7 @@ def experiments(
     ssm: Annotated[
         list[str] | None,
         typer.Option(
-            help="Safety law: vo, vr or sm; can be repeated.",
+            help=f"Safety law: {options.SAFETY_LAWS}; can be repeated.",
             metavar="NAME",
         ),
     ] = None,

@@ -178,8 +178,7 @@ def _find_scenario(scenario, model, products):
 
 
 def _find_series(robot):
-    """Returns the series of a model: only the UR10 here is a CB3."""
-    return "cb3" if robot.model == "ur10" else "e"
+    return "cb3" if robot.is_cb3 else "e"
 
 
 def _make_robot(config, scenario):
@@ -195,7 +194,7 @@ def _make_robot(config, scenario):
     return robot
 
 
-def describe(server: RtdeServer, model: str = "ur10") -> str:
+def describe(server: RtdeServer, model: str) -> str:
     """Returns the line that says where a simulated robot can be reached.
 
     Args:

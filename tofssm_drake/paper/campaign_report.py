@@ -247,7 +247,7 @@ AUDIT_METRICS = (
         is_worst=True,
     ),
     Metric(
-        name="ur10_stop_over_T_stop_s",
+        name="stated_stop_over_T_stop_s",
         label="UR10\u2019s stop over T_stop",
         unit="ms",
         digits=0,
