@@ -698,10 +698,10 @@ def _describe_audit(samples, audit):
         "person was truly nearer to a watched link than the standard's "
         "distance for a person who walks in.",
         f"The tool reached {audit.tcp_speed:.2f} m/s. From there "
-        f"{audit.stop_time_of} may take {1000 * audit.stop_time:.0f} ms to stop (category 0, worst "
-        f"case), the law assumes {1000 * audit.T_stop:.0f} ms; the "
-        f"robot's time was the longer one for "
-        f"{100 * audit.slow_share:.0f} % of the run.",
+        f"{audit.stop_time_of} may take {1000 * audit.stop_time:.0f} ms to "
+        "stop (category 0, worst case), the law assumes "
+        f"{1000 * audit.T_stop:.0f} ms; the robot's time was the longer one "
+        f"for {100 * audit.slow_share:.0f} % of the run.",
     ]
     clear = audit.as_reckoned.clear_share
     if audit.monitors_person and math.isfinite(clear):
