@@ -14,7 +14,7 @@ from tofssm_drake.diagrams.hardware_station import (
     make_slider_config,
 )
 from tofssm_drake.diagrams.held_connections import HeldRings, HeldRobot
-from tofssm_drake.diagrams.scenario import Scenario
+from tofssm_drake.diagrams.scenario import Scenario, find_links
 from tofssm_drake.diagrams.sensors.rings import find_rings
 from tofssm_drake.diagrams.simulation import make_simulator
 from tofssm_drake.diagrams.tasks import make_task_path
@@ -179,7 +179,9 @@ class HardwareLoop:
         self._warm_up()
         self._begin(random_seed=scenario.random_seed)
         if meshcat is not None:
-            self._board = HealthBoard(meshcat=meshcat)
+            self._board = HealthBoard(
+                meshcat=meshcat, names=(*find_links(scenario), "robot")
+            )
         self._sending = True
 
     @property

@@ -65,9 +65,7 @@ def make_hardware_station(
         - speed_fraction
         - separation
         output_ports:
-        - scan_base
-        - scan_elbow
-        - scan_tool
+        - scan_<ring>
         - position_measured
         - velocity_measured
         - carried_objects

@@ -45,16 +45,12 @@ def make_monitor(
         - position_measured
         - velocity_measured
         - carried_objects
-        - scan_base
-        - scan_elbow
-        - scan_tool
+        - scan_<ring>
         output_ports:
         - speed_fraction
         - decision
         - separation
-        - masked_scan_base
-        - masked_scan_elbow
-        - masked_scan_tool
+        - masked_scan_<ring>
         - self_hit_health
 
     It sees only what real hardware provides: the sensors' scans, the joints,

@@ -113,9 +113,7 @@ def make_ring_world(scenario: Scenario) -> Diagram:
         - position_measured
         - carried_objects
         output_ports:
-        - scan_base
-        - scan_elbow
-        - scan_tool
+        - scan_<ring>
         - geometry_query
         - skeleton
 

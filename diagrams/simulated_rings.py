@@ -59,7 +59,7 @@ class Report(Protocol):
 
 
 def carry_on(report: Report, now: float) -> np.ndarray:
-    """Returns the joints shortly after or before a report, rad, (6,).
+    """Returns the joints shortly after or before a report, rad, (n,).
 
     Args:
         report: The newest.

@@ -45,9 +45,7 @@ def make_station(scenario: Scenario) -> Station:
         - speed_fraction
         - separation
         output_ports:
-        - scan_base
-        - scan_elbow
-        - scan_tool
+        - scan_<ring>
         - position_measured
         - velocity_measured
         - carried_objects

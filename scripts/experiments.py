@@ -40,8 +40,8 @@ def experiments(
     ssm: Annotated[
         list[str] | None,
         typer.Option(
-            help="Of the paper's cells, the safety law: vo, vr or sm; can be "
-            "repeated.",
+            help="Of the paper's cells, the safety law: "
+            f"{options.SAFETY_LAWS}; can be repeated.",
             metavar="NAME",
         ),
     ] = None,

@@ -15,6 +15,7 @@ import typer
 
 from tofssm_drake.diagrams.scenario import load_scenario
 from tofssm_drake.errors import UserError, require
+from tofssm_drake.laws.config import CONFIGURATIONS
 import tofssm_drake.scripts.options as options
 from tofssm_drake.scripts.simulate import (
     catch_stop,
@@ -34,8 +35,12 @@ def hardware_demo(
         int, typer.Option(help="How many products are picked and placed.")
     ] = 10,
     ssm: Annotated[
-        str, typer.Option(help="Safety law: vo, vr or sm.", metavar="vo|vr|sm")
-    ] = "vo",
+        str,
+        typer.Option(
+            help=f"Safety law: {options.SAFETY_LAWS}.",
+            metavar="|".join(CONFIGURATIONS),
+        ),
+    ] = CONFIGURATIONS[0],
     duration: Annotated[
         float,
         typer.Option(help="Longest run, s; 0: until all products are placed."),

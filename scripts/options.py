@@ -10,6 +10,7 @@ import typer
 
 from tofssm_drake.diagrams.scenario import change_settings
 from tofssm_drake.errors import UserError, require
+from tofssm_drake.laws.config import CONFIGURATIONS
 from tofssm_drake.rtde.robot_checks import RobotChecks
 from tofssm_drake.rtde.rtde_config import RtdeConfig
 
@@ -34,9 +35,14 @@ ScenarioText = Annotated[
     str,
     typer.Option(help="Settings to change, as YAML, e.g. '{a: {b: 1}}'."),
 ]
+SAFETY_LAWS = f"{', '.join(CONFIGURATIONS[:-1])} or {CONFIGURATIONS[-1]}"
+
 Ssm = Annotated[
     str | None,
-    typer.Option(help="Safety law: vo, vr or sm.", metavar="vo|vr|sm"),
+    typer.Option(
+        help=f"Safety law: {SAFETY_LAWS}.",
+        metavar="|".join(CONFIGURATIONS),
+    ),
 ]
 HumanMotion = Annotated[
     Path | None,

@@ -182,8 +182,8 @@ def _find_scenario(scenario, model, products):
 
 
 def find_series(robot: UrArm) -> str:
-    """Returns the series of an arm: only the UR10 here is a CB3."""
-    return "cb3" if robot.model == "ur10" else "e"
+    """Returns the series of an arm, as `SimulatedUrConfig` names it."""
+    return "cb3" if robot.is_cb3 else "e"
 
 
 def make_robot(config: SimulatedUrConfig, scenario: Scenario) -> SimulatedUr:
@@ -204,7 +204,7 @@ def make_robot(config: SimulatedUrConfig, scenario: Scenario) -> SimulatedUr:
     return robot
 
 
-def describe(server: RtdeServer, model: str = "ur10") -> str:
+def describe(server: RtdeServer, model: str) -> str:
     """Returns the line that says where a simulated robot can be reached.
 
     Args:

@@ -162,7 +162,7 @@ def test_latency_and_stopping_time():
     assert dut.slow_share == pytest.approx(0.25, abs=1e-3)
     row = dut.make_row()
     assert row["latency_over_T_R_s"] == pytest.approx(0.008)
-    assert row["ur10_stop_over_T_stop_s"] == pytest.approx(0.120)
+    assert row["stated_stop_over_T_stop_s"] == pytest.approx(0.120)
 
 
 def test_row_is_flat():

@@ -71,13 +71,6 @@ def test_latency(budget, milliseconds):
     assert sum(in_ms) == milliseconds
 
 
-def test_stopping_time_of_the_ur10():
-    np.testing.assert_allclose(
-        mut.calc_ur10_stop_time(mut.UR10_STOP_SPEED), mut.UR10_STOP_TIME
-    )
-    assert mut.calc_ur10_stop_time(1.7) == pytest.approx(0.520)
-
-
 def test_config():
     dut = yaml_load_typed(schema=mut.AuditConfig, data="{V_h: 2.0}")
     dut.check("audit")

@@ -583,7 +583,7 @@ class TestTables(unittest.TestCase):
             campaign.rows[f"tof-vr-{trial}"] |= {
                 "shortfall_walking_in_max_m": shortfall,
                 "latency_over_T_R_s": late,
-                "ur10_stop_over_T_stop_s": math.nan,
+                "stated_stop_over_T_stop_s": math.nan,
             }
         table = make_cell_table(campaign.results, [cell], AUDIT_METRICS)
         ((_, texts),) = table["rows"]

@@ -10,7 +10,9 @@ _WORDS = (mut.OK, mut.HELD, mut.BLIND, mut.FAULT)
 class TestHealthBoard(unittest.TestCase):
     def setUp(self):
         self.meshcat = FakeMeshcat()
-        self.dut = mut.HealthBoard(meshcat=self.meshcat)
+        self.dut = mut.HealthBoard(
+            meshcat=self.meshcat, names=("base", "elbow", "tool", "robot")
+        )
 
     def find_shown(self, name):
         return [

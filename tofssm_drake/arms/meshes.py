@@ -93,7 +93,7 @@ def _calc_offsets(plant: MultibodyPlant) -> dict[str, RigidTransform]:
     X_BM = _read_mesh_frames(root)
     context = plant.CreateDefaultContext()
     robot = plant.GetModelInstanceByName("ur10")
-    plant.SetPositions(context, robot, np.zeros(6))
+    plant.SetPositions(context, robot, np.zeros(plant.num_positions(robot)))
     base = plant.GetFrameByName("base", robot)
     return {
         link: plant.GetFrameByName(link, robot)

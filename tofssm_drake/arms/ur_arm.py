@@ -60,6 +60,11 @@ class UrArm(ArmMount):
     # Its figures are in models/ur/.
     model: str = "ur10"
 
+    @property
+    def is_cb3(self) -> bool:
+        """Whether its controller is a CB3; else it is an e-Series or newer."""
+        return self.model == "ur10"
+
     def check(self, where: str) -> None:
         """Raises UserError with one line if a setting is out of range."""
         read_ur_data(self.model, f"{where}.model")

@@ -25,13 +25,13 @@ import dataclasses as dc
 
 import numpy as np
 
+from tofssm_drake.arms.stop_time import STATED_FOR, calc_stated_stop_time
 from tofssm_drake.laws.law import LawTraits
 from tofssm_drake.messages import RobotState
 from tofssm_drake.metrics.metrics import calc_periods, find_start
 from tofssm_drake.metrics.standards import (
     AuditConfig,
     calc_protective_distance,
-    calc_ur10_stop_time,
 )
 from tofssm_drake.recording.samples import Samples
 
@@ -115,9 +115,11 @@ class Audit:
     tcp_speed: float
     """Highest speed of the tool, m/s."""
     stop_time: float
-    """Worst-case stopping time of a UR10 from that speed, s."""
+    """Stated worst-case stopping time from that speed, s."""
+    stop_time_of: str
+    """Of which arm that is, for a sentence."""
     slow_share: float
-    """Share of the time in which the UR10's worst-case stopping time from
+    """Share of the time in which the stated worst-case stopping time from
     the tool's speed is above T_stop."""
 
     @property
@@ -144,8 +146,8 @@ class Audit:
             "inside_protective_s": self.inside,
             "latency_s": self.total_latency,
             "latency_over_T_R_s": self.total_latency - self.T_R,
-            "ur10_stop_time_s": self.stop_time,
-            "ur10_stop_over_T_stop_s": self.stop_time - self.T_stop,
+            "stated_stop_time_s": self.stop_time,
+            "stated_stop_over_T_stop_s": self.stop_time - self.T_stop,
         }
 
 
@@ -189,7 +191,7 @@ def calc_audit(samples: Samples) -> Audit | None:
     ).any(axis=1)
     speed = samples["tcp_speed"]
     highest = float(speed.max(initial=0.0))
-    slow = calc_ur10_stop_time(speed) > about["T_stop"]
+    slow = calc_stated_stop_time(speed) > about["T_stop"]
     total = periods.sum()
     return Audit(
         walking_in=find_shortfall(walking_in, is_known),
@@ -201,7 +203,8 @@ def calc_audit(samples: Samples) -> Audit | None:
         T_R=float(about["T_R"]),
         T_stop=float(about["T_stop"]),
         tcp_speed=highest,
-        stop_time=float(calc_ur10_stop_time(highest)),
+        stop_time=float(calc_stated_stop_time(highest)),
+        stop_time_of=STATED_FOR,
         slow_share=float(periods[slow].sum() / total) if total else np.nan,
     )
 

@@ -1,22 +1,15 @@
 """What the standards require of the law, as pure functions.
 
-ISO/TS 15066:2016, 5.5.4 (protective separation distance), ISO 13855 (speeds
-of people) and Universal Robots' stopping times. It is used only to audit a run.
+ISO/TS 15066:2016, 5.5.4 (protective separation distance) and ISO 13855 (speeds
+of people). It is used only to audit a run.
 """
 
 import dataclasses as dc
-
-import numpy as np
 
 from tofssm_drake.errors import require
 
 WALKING_SPEED = 1.6
 """Speed of an unmonitored person towards the robot, m/s (ISO 13855)."""
-
-UR10_STOP_SPEED = (1.0, 1.5, 2.0, 2.5, 3.0)
-"""Speeds of the tool for which Universal Robots states stopping times, m/s."""
-UR10_STOP_TIME = (0.45, 0.50, 0.55, 0.60, 0.65)
-"""Worst-case times of a category-0 stop from these speeds, s (UR10, CB3)."""
 
 
 @dc.dataclass(kw_only=True)
@@ -65,18 +58,6 @@ def calc_protective_distance(*, v_h, v_r, T_R: float, T_S, C: float):
         C: Intrusion distance and uncertainties, C + Z_d + Z_r, m.
     """
     return v_h * (T_R + T_S) + v_r * (T_R + 0.5 * T_S) + C
-
-
-def calc_ur10_stop_time(tcp_speed):
-    """Returns the worst-case stopping time of a UR10 (CB3), s.
-
-    Category-0 stop by the speed of the tool: 0.35 s plus 0.1 s per m/s, a line
-    through the stated points.
-
-    Args:
-        tcp_speed: m/s, a number or an array.
-    """
-    return 0.35 + 0.1 * np.asarray(tcp_speed, dtype=float)
 
 
 def make_latency_budget(

@@ -937,14 +937,10 @@ class OcclusionMask(LeafSystem):
 
         name: OcclusionMask
         input_ports:
-        - scan_base
-        - scan_elbow
-        - scan_tool
+        - scan_<ring>
         - robot_report
         output_ports:
-        - masked_scan_base
-        - masked_scan_elbow
-        - masked_scan_tool
+        - masked_scan_<ring>
 
     `robot_report` is the robot's report (`calc_report_size`). It is remembered
     at every control tick; new scans of rings are classified with it

@@ -681,9 +681,7 @@ class SelfHitWatch(LeafSystem):
 
         name: SelfHitWatch
         input_ports:
-        - masked_scan_base
-        - masked_scan_elbow
-        - masked_scan_tool
+        - masked_scan_<ring>
         - robot_report
         output_ports:
         - self_hit_health

@@ -561,9 +561,7 @@ class TofSeparation(LeafSystem):
 
         name: TofSeparation
         input_ports:
-        - masked_scan_base
-        - masked_scan_elbow
-        - masked_scan_tool
+        - masked_scan_<ring>
         output_ports:
         - separation
 

@@ -220,9 +220,7 @@ class MessageLog(LeafSystem):
         input_ports:
         - decision
         - separation
-        - masked_scan_base
-        - masked_scan_elbow
-        - masked_scan_tool
+        - masked_scan_<ring>
 
     A part of `SampleRecorder`. As in `VectorLogSink` the log lives in the
     Context, but not in its State.
@@ -383,9 +381,7 @@ class SampleRecorder(Diagram):
         - products_placed
         - decision
         - separation
-        - masked_scan_base
-        - masked_scan_elbow
-        - masked_scan_tool
+        - masked_scan_<ring>
 
     `position` (rad), `velocity` (rad/s) and `products_placed` are the world's;
     the rest is the monitor's. The person needs no port: its place follows

@@ -698,11 +698,11 @@ def _describe_audit(samples, audit):
         f"For {audit.inside:.1f} s the robot was not told to stop though the "
         "person was truly nearer to a watched link than the standard's "
         "distance for a person who walks in.",
-        f"The tool reached {audit.tcp_speed:.2f} m/s. From there a UR10 may "
-        f"take {1000 * audit.stop_time:.0f} ms to stop (category 0, worst "
-        f"case), the law assumes {1000 * audit.T_stop:.0f} ms; the "
-        f"robot's time was the longer one for "
-        f"{100 * audit.slow_share:.0f} % of the run.",
+        f"The tool reached {audit.tcp_speed:.2f} m/s. From there "
+        f"{audit.stop_time_of} may take {1000 * audit.stop_time:.0f} ms to "
+        "stop (category 0, worst case), the law assumes "
+        f"{1000 * audit.T_stop:.0f} ms; the robot's time was the longer one "
+        f"for {100 * audit.slow_share:.0f} % of the run.",
     ]
     clear = audit.as_reckoned.clear_share
     if audit.monitors_person and math.isfinite(clear):
@@ -813,7 +813,6 @@ def _make_facts(samples, summary):
     for term, key in (
         ("Person", "human"),
         ("Sensing", "sensing"),
-        ("Sensors per ring", "sensors_per_ring"),
         ("Seed", "seed"),
         ("Command", "command"),
     ):

@@ -71,9 +71,7 @@ class RingSubscriberSystem(LeafSystem):
         input_ports:
         - clock_offset
         output_ports:
-        - scan_base
-        - scan_elbow
-        - scan_tool
+        - scan_<ring>
 
     At each step the newest scan of each ring moves from the link into the
     state, and nothing else reads the link: the outputs follow from the

@@ -1,4 +1,4 @@
-"""A simulated UR with program, slider, modes and registers; no sockets.
+"""A simulated robot with program, slider, modes and registers; no sockets.
 
 It stands in for a robot and its controller. `step` is one control cycle:
 received inputs are applied, the program advances at the speed that the slider

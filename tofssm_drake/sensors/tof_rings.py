@@ -85,9 +85,7 @@ class TofRings(LeafSystem):
         - geometry_query
         - noise
         output_ports:
-        - scan_base
-        - scan_elbow
-        - scan_tool
+        - scan_<ring>
 
     Once a period the rays of all N sensors are cast against the scene and
     turned into one `RingScan` per ring. This happens at the centre of the

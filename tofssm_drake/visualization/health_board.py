@@ -38,7 +38,7 @@ class HealthBoard:
         self,
         *,
         meshcat: Meshcat,
-        names: tuple[str, ...] = ("base", "elbow", "tool", "robot"),
+        names: tuple[str, ...],
         p_WB=(-0.75, 1.32, 2.05),
         path: str = "health",
     ):

@@ -55,9 +55,7 @@ class RingRays(LeafSystem):
         name: RingRays
         input_ports:
         - position
-        - masked_scan_base
-        - masked_scan_elbow
-        - masked_scan_tool
+        - masked_scan_<ring>
 
     The looks differ in shape as well as in colour: *clear* is a thin line of
     full length; *hit* is the beam's true cone, which ends in a ball where
