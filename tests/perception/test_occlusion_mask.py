@@ -196,8 +196,8 @@ class TestHistory(unittest.TestCase):
             np.testing.assert_array_equal(dut[1:7], np.full(6, 0.3))
             np.testing.assert_array_equal(dut[13:], [1.0, 4.0])
 
-    def test_gripper_and_products_are_those_before(self):
-        table = make_history([1.0, 1.008], [0.0, 0.0], 0.0, 3.0)
+    def test_objects_are_where_they_were_before(self):
+        table = make_history([1.0, 1.008], [0.0, 0.0], (0.0, 3.0))
         mut.push_report(table, 1.016, np.array([0.0] * 12 + [1.0, 4.0]))
         dut = mut.interpolate_reports(table, 1.0159, 6)
         np.testing.assert_array_equal(dut[13:], [0.0, 3.0])
@@ -342,7 +342,7 @@ class TestMaskScan(unittest.TestCase):
         np.testing.assert_allclose(dut.position[0::2, 0], 0.5)
         np.testing.assert_allclose(dut.position[1::2, 0], 0.515)
         # At both times, and then slightly off that of the second sensor.
-        asked = [q[0] for q, _, _ in cell["twin"].asked]
+        asked = [q[0] for q, _ in cell["twin"].asked]
         np.testing.assert_allclose(asked, [0.5, 0.515, 0.509, 0.521])
         self.assertAlmostEqual(dut.self_nearest[0], 0.5, delta=1e-12)
         self.assertEqual(dut.reading[0], MASKED)

@@ -475,7 +475,7 @@ class Ride:
         self.q = self.q.copy()
         self.q[0] += 0.1 if self.sequence % 20 < 10 else -0.1
         self.dut.GetInputPort("robot_report").FixValue(
-            self.context, np.concatenate([self.q, np.zeros(8)])
+            self.context, np.concatenate([self.q, np.zeros(16)])
         )
         for name in RINGS:
             # The others have no sample.
@@ -510,7 +510,7 @@ class TestSystems(unittest.TestCase):
         simulator = Simulator(dut)
         context = simulator.get_mutable_context()
         dut.GetInputPort("robot_report").FixValue(
-            context, np.concatenate([q, np.zeros(8)])
+            context, np.concatenate([q, np.zeros(16)])
         )
         port = dut.GetOutputPort("self_hit_health")
         self.assertEqual(port.Eval(context).problem, ("", "", ""))

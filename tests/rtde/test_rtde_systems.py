@@ -64,7 +64,7 @@ class Loop:
                 connection=connection, wait_timeout=wait_timeout
             ),
         )
-        add("receiver", mut.RobotReportReceiver(products=2))
+        add("receiver", mut.RobotReportReceiver(path=make_path()))
         add("control", mut.SliderControl())
         add("publisher", mut.RtdePublisherSystem(connection=connection))
         add("wanted", ConstantVectorSource([0.8]))
@@ -300,7 +300,7 @@ class TestLoop(unittest.TestCase):
     def test_feedthrough(self):
         for dut, through in (
             (mut.RtdeSubscriberSystem(connection=NullConnection()), False),
-            (mut.RobotReportReceiver(), True),
+            (mut.RobotReportReceiver(path=make_path()), True),
             (mut.SliderControl(), True),
         ):
             self.assertEqual(dut.HasAnyDirectFeedthrough(), through)
