@@ -16,7 +16,6 @@ KEYS = [
     *("TriSsm-alone", "Nearer_is_slower-alone"),
     "Nearer_is_slower-cautious-alone",
     *("TriSsm-1", "Nearer_is_slower-1", "Nearer_is_slower-cautious-1"),
-    *("TriSsm-2", "Nearer_is_slower-2", "Nearer_is_slower-cautious-2"),
 ]
 
 
@@ -34,7 +33,7 @@ def run_study(monkeypatch, tmp_path):
         return run(
             [
                 *("experiments", "--study", str(FILE)),
-                *("--duration", "0.4", "--out", str(tmp_path), *arguments),
+                *("--duration", "0.2", "--out", str(tmp_path), *arguments),
             ]
         )
 
@@ -42,20 +41,17 @@ def run_study(monkeypatch, tmp_path):
 
 
 def test_run_and_its_report(run_study, tmp_path, capfd, monkeypatch):
-    assert run_study("--trials", "2") == 0
+    assert run_study("--trials", "1") == 0
     table = pq.read_table(tmp_path / "results.parquet").to_pylist()
     assert [row["run"] for row in table] == KEYS
     for row in table:
         assert row["time_lost_share"] == 1.0 - row["productivity"]
-    trials = {}
-    for row in table[3:]:
-        trials.setdefault(row["trial"], set()).add((row["seed"], row["speed"]))
-    assert all(len(people) == 1 for people in trials.values())
-    assert trials[1] != trials[2]
+    # The same person in every cell.
+    assert len({(row["seed"], row["speed"]) for row in table[3:]}) == 1
     page = (tmp_path / "report.html").read_text("utf-8")
     assert page.rstrip().endswith("</html>")
     for words in (
-        *("Two laws in one cell", "time lost", "touched nobody in 6 runs"),
+        *("Two laws in one cell", "time lost", "touched nobody in 3 runs"),
         "Nearer_is_slower (cautious) \u2212 Nearer_is_slower",
         "Nearer_is_slower \u2212 TriSsm",
         "cautious: <code>{law: {parameters:",
@@ -67,7 +63,7 @@ def test_run_and_its_report(run_study, tmp_path, capfd, monkeypatch):
     # Going on repeats no finished run, and makes the same table.
     before = (tmp_path / "results.parquet").read_bytes()
     monkeypatch.setattr(campaign, "execute", None)
-    assert run_study("--trials", "2") == 0
+    assert run_study("--trials", "1") == 0
     assert (tmp_path / "results.parquet").read_bytes() == before
     # Another scenario in a cell makes another campaign.
     capfd.readouterr()
@@ -79,8 +75,8 @@ def test_run_and_its_report(run_study, tmp_path, capfd, monkeypatch):
     assert (
         run(
             [
-                *("experiments", "--study", str(other), "--trials", "2"),
-                *("--duration", "0.4", "--out", str(tmp_path)),
+                *("experiments", "--study", str(other), "--trials", "1"),
+                *("--duration", "0.2", "--out", str(tmp_path)),
             ]
         )
         == 2

@@ -40,12 +40,15 @@ class TestScenario(unittest.TestCase):
         before = dump_scenario(self.base)
         for sensing in SENSINGS:
             for configuration in CONFIGURATIONS:
+                cell = mut.make_cell_scenario(
+                    self.base, make_run(sensing, configuration).cell
+                )
+                self.assertEqual(cell.law.configuration, configuration)
                 for number in range(1, 20):
-                    run = make_run(sensing, configuration, number=number)
-                    scenario = make_scenario(self.base, run)
+                    trial = make_trial(0, number)
+                    scenario = make_run_scenario(cell, trial)
                     scenario.check()
-                    self.assertEqual(scenario.random_seed, run.trial.seed)
-                    self.assertEqual(scenario.law.configuration, configuration)
+                    self.assertEqual(scenario.random_seed, trial.seed)
         self.assertEqual(dump_scenario(self.base), before)
 
     def test_sensing(self):

@@ -21,10 +21,16 @@ from tofssm_drake.studies.results import Results
 
 _WIDE, _NARROW = 10.6, 4.3
 _PANELS = (
-    ("time_lost_share", 100.0, "time lost (%)", BLUE),
-    ("contacts_while_moving", 1.0, "contacts while moving, per run", ORANGE),
+    ("time_lost_share", 100.0, "time lost (%)", BLUE, 100.0),
+    (
+        "contacts_while_moving",
+        1.0,
+        "contacts while moving, per run",
+        ORANGE,
+        1.0,
+    ),
 )
-"""Metric, factor to it, words, colour."""
+"""Metric, factor to it, words, colour, least end of the axis."""
 
 
 def make_study_figure(results: Results, *, narrow: bool = False) -> Figure:
@@ -43,7 +49,7 @@ def make_study_figure(results: Results, *, narrow: bool = False) -> Figure:
         )
         shape = (2, 1) if narrow else (1, 2)
         axes = figure.subplots(*shape, sharey=not narrow, squeeze=False)
-        for ax, (metric, scale, words, colour) in zip(
+        for ax, (metric, scale, words, colour, least) in zip(
             axes.ravel(), _PANELS, strict=True
         ):
             for y, cell in enumerate(cells):
@@ -52,7 +58,8 @@ def make_study_figure(results: Results, *, narrow: bool = False) -> Figure:
                 _draw_values(ax, y, scale * np.array([*values]), colour)
                 _draw_mean(ax, y, value)
             ax.set_xlabel(words)
-            ax.set_xlim(left=min(0.0, ax.get_xlim()[0]))
+            right = 1.04 * max(least, ax.dataLim.x1)
+            ax.set_xlim(-0.02 * right, right)
             ax.set_yticks(range(len(cells)), [cell.label for cell in cells])
             ax.set_ylim(max(len(cells), 1) - 0.5, -0.5)
             ax.grid(axis="y", visible=False)

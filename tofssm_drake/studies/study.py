@@ -80,6 +80,8 @@ class Study:
 
 def _check_name(name, where):
     """Raises UserError unless a name can be that of a folder."""
+    # YAML may have read a number.
+    name = str(name)
     require(
         _NAME.fullmatch(name) is not None,
         f"{where}: {name!r} must be a name of letters, digits and _",
