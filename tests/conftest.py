@@ -1,12 +1,18 @@
 """Settings of all tests."""
 
 import importlib.util
+import signal
 
 from hypothesis import settings
 
 # The first call of a kernel compiles it: no deadline on single examples.
 settings.register_profile("tofssm", deadline=None)
 settings.load_profile("tofssm")
+
+# A shell starts what runs in its background with Ctrl-C ignored; the tests that
+# interrupt a run need it.
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 # These compare with others' software, which comes with the extra `peers`.
 _OF_PEERS = {
