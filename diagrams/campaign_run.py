@@ -152,14 +152,14 @@ def _place_recordings(
     The paths on this machine are of no use elsewhere.
     """
     moved = []
-    for i, (name, person) in enumerate(scenario.people.items()):
+    for i, person in enumerate(scenario.people.values()):
         if isinstance(person, BvhRecording):
             path = folder / f"{i}_{Path(person.filename).name}"
             path.write_bytes(recordings[person.filename])
-            moved.append((name, person.filename))
+            moved.append((person, person.filename))
             person.filename = str(path)
     try:
         yield
     finally:
-        for name, filename in moved:
-            scenario.people[name].filename = filename
+        for recording, filename in moved:
+            recording.filename = filename

@@ -18,7 +18,10 @@ from tofssm_drake.diagrams.tasks import make_task_path
 from tofssm_drake.ringlink.ring_device import DeviceClock, make_frame
 from tofssm_drake.ringlink.ring_fault_injection import FaultInjector, RingFault
 from tofssm_drake.ringlink.ring_frame import RingFrame
-from tofssm_drake.rtde.rtde_systems import read_carried_objects
+from tofssm_drake.rtde.rtde_systems import (
+    ProgressReport,
+    read_carried_objects,
+)
 
 # Longest extrapolation of the robot's motion from its last report, s: slightly
 # more than two of its control cycles; and backwards, if a busy computer wakes
@@ -30,7 +33,7 @@ _CARRY_BACK = 0.1
 _PAST = 1e-6
 
 
-class Report(Protocol):
+class Report(ProgressReport, Protocol):
     """What is needed from a robot's report."""
 
     @property
@@ -48,14 +51,6 @@ class Report(Protocol):
     @property
     def velocity(self) -> np.ndarray:
         """Joint speeds, rad/s, (n,)."""
-
-    @property
-    def digital_outputs(self) -> int:
-        """Bits, or -1."""
-
-    @property
-    def products_placed(self) -> int:
-        """Number, or -1."""
 
 
 def carry_on(report: Report, now: float) -> np.ndarray:

@@ -15,7 +15,7 @@ from tofssm_drake.diagrams.people import People
 from tofssm_drake.diagrams.ring_world import add_ring_world, make_scene
 from tofssm_drake.diagrams.scenario import Scenario, find_links
 from tofssm_drake.diagrams.tasks import make_task_path, require_supported
-from tofssm_drake.errors import require
+from tofssm_drake.errors import UserError
 from tofssm_drake.messages import make_empty_separation
 from tofssm_drake.tasks.program import TaskProgram
 
@@ -74,11 +74,12 @@ def make_station(scenario: Scenario) -> Station:
     Raises:
         UserError: The scenario's driver is a real robot.
     """
-    require(
-        isinstance(scenario.driver, Simulated),
-        "driver: !Rtde is a real robot: run it with tofssm hardware, or "
-        "simulate the cell with --scenario-text '{driver: !Simulated {}}'",
-    )
+    driver = scenario.driver
+    if not isinstance(driver, Simulated):
+        raise UserError(
+            "driver: !Rtde is a real robot: run it with tofssm hardware, or "
+            "simulate the cell with --scenario-text '{driver: !Simulated {}}'"
+        )
     builder = DiagramBuilder()
     scene_graph, plant = make_scene(builder, scenario)
     kinematics = ArmKinematics.from_plant(plant)
@@ -92,7 +93,7 @@ def make_station(scenario: Scenario) -> Station:
     )
     _require_supported(scenario, program.path)
     robot, _ = make_sim_arm(
-        config=scenario.driver,
+        config=driver,
         arm=scenario.robot,
         initial_position=program.path.calc_motion(0.0)[0],
     )

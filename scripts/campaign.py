@@ -8,6 +8,7 @@ from pathlib import Path
 import signal
 import sys
 import time
+from typing import Generic
 
 from distributed import Client
 from rich.console import Console
@@ -25,7 +26,7 @@ from tofssm_drake.diagrams.scenario import Scenario
 from tofssm_drake.errors import require
 from tofssm_drake.people.bvh import BvhRecording, make_bvh_motion
 from tofssm_drake.scripts.cluster import call_all, connect
-from tofssm_drake.studies.campaign import Cell, Plan, PlannedRun
+from tofssm_drake.studies.campaign import CellT, Plan, PlannedRun
 from tofssm_drake.studies.campaign_folder import (
     enter_folder,
     get_scratch,
@@ -37,13 +38,13 @@ from tofssm_drake.studies.results import make_results
 
 
 @dc.dataclass(frozen=True, eq=False, kw_only=True)
-class Campaign:
+class Campaign(Generic[CellT]):
     """What to run, and where its results go."""
 
     out: Path
     """The folder."""
-    plan: Plan
-    scenarios: Mapping[Cell, Scenario]
+    plan: Plan[CellT]
+    scenarios: Mapping[CellT, Scenario]
     """What the runs of each cell have in common."""
     recordings: Mapping[str, bytes]
     """Recordings of people by file name."""
@@ -51,7 +52,7 @@ class Campaign:
     """Writes the tables and the report of the finished runs, given all rows
     and the reason by the label of the run that failed; returns the report's
     path."""
-    is_long: Callable[[PlannedRun], bool] = lambda run: False
+    is_long: Callable[[PlannedRun[CellT]], bool] = lambda run: False
     """Whether a run takes longer than others. Those are made first, so that
     all workers finish at the same time."""
 
@@ -64,7 +65,7 @@ class Campaign:
         motion = self.plan.find_motion(run)
         return make_run_scenario(self.scenarios[run.cell], run.trial, motion)
 
-    def make_call(self, run: PlannedRun) -> tuple:
+    def make_call(self, run: PlannedRun[CellT]) -> tuple:
         """Returns the arguments of `execute` for a run."""
         people = self._make_scenario(run).people.values()
         files = [p.filename for p in people if isinstance(p, BvhRecording)]

@@ -45,7 +45,7 @@ def simplify(dot: str) -> str:
     drawn, and the numbers of the systems, which differ in each process, are
     counted anew.
     """
-    numbers = {}
+    numbers: dict[str, int] = {}
 
     def count(match):
         number = numbers.setdefault(match[2], len(numbers))
@@ -88,7 +88,9 @@ def find_instant(samples: Samples) -> float:
         samples["true_distance"],
         np.inf,
     )
-    require(np.isfinite(distance).any(), "the robot never stops for a person")
+    require(
+        bool(np.isfinite(distance).any()), "the robot never stops for a person"
+    )
     return float(samples["t"][np.argmin(distance)])
 
 
@@ -143,11 +145,11 @@ def draw_docs(folder: Path) -> None:
         UserError: A program is missing, or a picture could not be made.
     """
     browser = next(filter(None, map(shutil.which, _BROWSERS)), None)
-    require(
-        shutil.which(_DOT) is not None and browser is not None,
-        "Graphviz's program dot and Chromium are needed (apt-get install "
-        "graphviz chromium)",
-    )
+    if shutil.which(_DOT) is None or browser is None:
+        raise UserError(
+            "Graphviz's program dot and Chromium are needed (apt-get install "
+            "graphviz chromium)"
+        )
     require(folder.is_dir(), f"there is no folder {folder}")
     draw_diagrams(folder)
     photograph_cell(folder, browser)

@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from tofssm_drake.errors import require
-from tofssm_drake.scripts.campaign import run_and_report
+from tofssm_drake.scripts.campaign import Campaign, run_and_report
 import tofssm_drake.scripts.options as options
 from tofssm_drake.scripts.own_study import make_own_campaign
 from tofssm_drake.scripts.paper_experiment import (
@@ -100,11 +100,7 @@ def experiments(
     ] = Path("out/experiments"),
 ) -> int:
     """Run a campaign, the paper's or your own, and write its report."""
-    common = {
-        "human_motions": human_motions,
-        "scenario_text": scenario_text,
-        "out": out,
-    }
+    campaign: Campaign
     if study is None:
         campaign = make_paper_campaign(
             trials=5 if trials is None else trials,
@@ -113,7 +109,9 @@ def experiments(
             sensings=sensing,
             configurations=ssm,
             variants=variant,
-            **common,
+            human_motions=human_motions,
+            scenario_text=scenario_text,
+            out=out,
         )
     else:
         for name, value in (
@@ -127,6 +125,12 @@ def experiments(
                 "your own names its cells in its file",
             )
         campaign = make_own_campaign(
-            study, trials=trials, seed=seed, duration=duration, **common
+            study,
+            trials=trials,
+            seed=seed,
+            duration=duration,
+            human_motions=human_motions,
+            scenario_text=scenario_text,
+            out=out,
         )
     return run_and_report(campaign, scheduler, workers)

@@ -17,7 +17,11 @@ from tofssm_drake.scripts.campaign import (
     read_motions,
 )
 from tofssm_drake.studies.campaign_folder import write_results
-from tofssm_drake.studies.study import add_time_lost, make_study_plan
+from tofssm_drake.studies.study import (
+    StudyCell,
+    add_time_lost,
+    make_study_plan,
+)
 
 
 def make_own_campaign(
@@ -29,7 +33,7 @@ def make_own_campaign(
     duration: float | None = None,
     human_motions: Path | None = None,
     scenario_text: str = "",
-) -> Campaign:
+) -> Campaign[StudyCell]:
     """Makes the campaign of a study.
 
     Args:

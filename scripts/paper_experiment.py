@@ -14,7 +14,7 @@ from tofssm_drake.diagrams.scenario import (
     find_threshold_offsets,
     load_scenario,
 )
-from tofssm_drake.errors import require
+from tofssm_drake.errors import UserError, require
 from tofssm_drake.laws.config import CONFIGURATIONS
 from tofssm_drake.laws.tri_ssm_law import TriSsm
 from tofssm_drake.paper.campaign_report import write_campaign_report
@@ -25,6 +25,7 @@ from tofssm_drake.paper.cells import (
     list_variants,
     make_plan,
 )
+from tofssm_drake.people.walk import GeneratedWalk
 from tofssm_drake.scripts.campaign import (
     Campaign,
     calc_digests,
@@ -48,7 +49,7 @@ def make_paper_campaign(
     variants: list[str] | None,
     human_motions: Path | None,
     scenario_text: str,
-) -> Campaign:
+) -> Campaign[Cell]:
     """Makes the paper's campaign; the options are those of the command.
 
     Raises:
@@ -165,21 +166,19 @@ def make_command(
 def require_free(scenario: Scenario) -> None:
     """Raises UserError if the text changes what cells or trials decide."""
     default = load_scenario()
-    require(
-        isinstance(scenario.law, TriSsm),
-        "--scenario-text: law: must be !TriSsm, whose configurations the "
-        "campaign compares",
-    )
     people = copy.deepcopy(default.people)
     for name, person in people.items():
         changed = scenario.people.get(name)
-        person.figure_eight = getattr(changed, "figure_eight", None)
+        if isinstance(person, GeneratedWalk) and isinstance(
+            changed, GeneratedWalk
+        ):
+            person.figure_eight = changed.figure_eight
     for name, same in {
         "sensors": [(n, type(s)) for n, s in scenario.sensors.items()]
         == [(n, type(s)) for n, s in default.sensors.items()],
         "random_seed": scenario.random_seed == default.random_seed,
-        "law.configuration": scenario.law.configuration
-        == default.law.configuration,
+        "law.configuration": get_law(scenario).configuration
+        == get_law(default).configuration,
         "people": scenario.people == people,
     }.items():
         require(
@@ -189,8 +188,22 @@ def require_free(scenario: Scenario) -> None:
         )
 
 
+def get_law(scenario: Scenario) -> TriSsm:
+    """Returns the law of a scenario.
+
+    Raises:
+        UserError: It has no configurations that could be compared.
+    """
+    if not isinstance(scenario.law, TriSsm):
+        raise UserError(
+            "--scenario-text: law: must be !TriSsm, whose configurations the "
+            "campaign compares"
+        )
+    return scenario.law
+
+
 def list_parameters(
-    scenario: Scenario, plan: Plan
+    scenario: Scenario, plan: Plan[Cell]
 ) -> list[tuple[str, dict[str, str]]]:
     """Returns the paper's table of parameters, as run.
 
@@ -203,7 +216,7 @@ def list_parameters(
         if not cell.variant
     }
     laws = {
-        sensing: s.law.grow(float(find_threshold_offsets(s)[0]))
+        sensing: get_law(s).grow(float(find_threshold_offsets(s)[0]))
         for sensing, s in scenarios.items()
     }
     radii = {

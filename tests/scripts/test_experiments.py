@@ -25,6 +25,7 @@ import tofssm_drake.scripts.main as main
 import tofssm_drake.scripts.paper_experiment as paper_experiment
 
 # Two cells, one person, and the run without anybody.
+ROOT = Path(__file__).parents[2]
 SMALL = (
     *("--sensing", "ideal", "--sensing", "lidar", "--ssm", "vo"),
     *("--trials", "1", "--duration", "0.4"),
@@ -368,6 +369,23 @@ BAD_INPUT = {
         ("--scenario-text", "{people: {visitor: null}}"),
         "people: is decid",
     ),
+    "law": (
+        (
+            "--scenario-text",
+            "{law: !Custom {factory: 'examples.my_law:MyLaw', "
+            "parameters: {stop: 0.6, slow: 1.2}}}",
+        ),
+        "--scenario-text: law: must be !TriSsm",
+    ),
+    "person": (
+        (
+            "--scenario-text",
+            "{people: {visitor: !CustomMotion {factory: "
+            "'examples.my_person:sway', "
+            "parameters: {distance: 1.3, swing: 0.5}}}}",
+        ),
+        "--scenario-text: people: is decided by",
+    ),
     "all": (
         ("--variant", "all", "--variant", "foo"),
         "--variant: 'foo' is unknown",
@@ -396,6 +414,7 @@ class TestBadInput:
     ):
         arguments, message = BAD_INPUT[name]
         monkeypatch.chdir(tmp_path)
+        monkeypatch.syspath_prepend(ROOT)
         monkeypatch.setattr("tofssm_drake.scripts.cluster.TIMEOUT", 0.3)
         code = main.run(["experiments", "--out", "made/anew", *arguments])
         captured = capfd.readouterr()

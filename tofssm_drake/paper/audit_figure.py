@@ -1,6 +1,7 @@
 """What the standards ask, against what the law keeps."""
 
 import math
+from typing import Any
 
 import matplotlib
 from matplotlib.figure import Figure
@@ -55,7 +56,11 @@ def make_audit_figure(results: Results, *, narrow: bool = False) -> Figure:
 
 
 def _add_shortfall_legend(ax, columns):
-    stroke = {"marker": "|", "markersize": 9, "markeredgewidth": 2}
+    stroke: dict[str, Any] = {
+        "marker": "|",
+        "markersize": 9,
+        "markeredgewidth": 2,
+    }
     handles = [
         Patch(color=BLUE, alpha=0.45, label="walking in at 1.6 m/s"),
         Patch(color=GREY, alpha=0.45, label="as Vo monitored it"),

@@ -91,7 +91,7 @@ def list_pairs(results: Results) -> dict[str, list[tuple[Cell, Cell]]]:
     }
 
 
-def read_first_runs(folder: Path, plan: Plan) -> dict[Cell, Samples]:
+def read_first_runs(folder: Path, plan: Plan[Cell]) -> dict[Cell, Samples]:
     """Reads what the figures need of one run of each cell without a variant.
 
     Takes the first trial there is; leaves out cells without any.
@@ -153,7 +153,7 @@ def make_latency_table(
 def write_campaign_report(
     folder: Path,
     *,
-    plan: Plan,
+    plan: Plan[Cell],
     rows: list[dict],
     parameters: list[tuple[str, dict[str, str]]],
     command: str,
@@ -216,7 +216,7 @@ def write_campaign_report(
 
 def make_campaign_report(
     *,
-    plan: Plan,
+    plan: Plan[Cell],
     results: Results,
     pictures: dict,
     parameters: list[tuple[str, dict[str, str]]],

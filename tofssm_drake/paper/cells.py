@@ -1,5 +1,6 @@
 """The paper's cells: sensings, configurations of its law, and variants."""
 
+from collections.abc import Mapping
 import dataclasses as dc
 import importlib.resources
 from typing import ClassVar
@@ -73,7 +74,7 @@ ALONE = "alone"
 class Cell:
     """One way to sense with one configuration of the safety law."""
 
-    COLUMNS: ClassVar[dict[str, Column]] = {
+    COLUMNS: ClassVar[Mapping[str, Column]] = {
         "sensing": Column(meaning="what watches the person"),
         "configuration": Column(meaning="configuration of the safety law"),
         "variant": Column(meaning="what was changed; empty: nothing"),
@@ -139,7 +140,7 @@ def make_plan(
     scenario: dict,
     motions: dict[str, str] | None = None,
     versions: dict[str, str] | None = None,
-) -> Plan:
+) -> Plan[Cell]:
     """Makes the plan of the paper's experiment.
 
     Args:

@@ -1,6 +1,7 @@
 """The paper's Fig. 9: distances against the ground truth."""
 
 import math
+from typing import Any
 
 import matplotlib
 from matplotlib.figure import Figure
@@ -96,7 +97,11 @@ def _draw_distance(ax, cell, run, narrow, first):
 
 _BAR = 0.26
 """Width of a bar of errors."""
-_PAPER_STYLE = {"color": BLACK, "linestyle": (0, (1, 1.2)), "linewidth": 2.0}
+_PAPER_STYLE: dict[str, Any] = {
+    "color": BLACK,
+    "linestyle": (0, (1, 1.2)),
+    "linewidth": 2.0,
+}
 _ERROR_METRICS = {
     "distance_rmse_centre_m": 0.35,
     "distance_rmse_surface_m": 1.0,

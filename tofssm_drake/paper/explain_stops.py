@@ -28,8 +28,8 @@ def explain_earliest(results: Results, cells: list[Cell]) -> str:
     both = [cell for cell in times if cell in separations]
     if len(both) < 2:
         return ""
-    earliest = min(both, key=times.get)
-    farthest = max(both, key=separations.get)
+    earliest = min(both, key=times.__getitem__)
+    farthest = max(both, key=separations.__getitem__)
     if separations[earliest] >= separations[farthest]:
         verdict = f"{earliest.label} reacts first, and none stops farther away."
     else:
@@ -69,7 +69,9 @@ def explain_late(results: Results, cells: list[Cell]) -> str:
 
 def explain_real_against_ideal(results: Results) -> str:
     """Lists the laws with which the rings react before the true distance."""
-    earlier, later, studied = [], [], []
+    earlier: list[str] = []
+    later: list[str] = []
+    studied = []
     for c in CONFIGURATIONS:
         real, ideal = make_cell("tof", c), make_cell("ideal", c)
         value = results.difference(real, ideal, "reaction_time_s")
@@ -134,7 +136,9 @@ def explain_ramps(results: Results, kind: str) -> str:
         kind: `stop` or `reduce`.
     """
     metric, alike = f"time_to_{kind}_s", f"time_to_{kind}_alike_s"
-    less, stays, spreads = [], [], []
+    less: list[str] = []
+    stays: list[str] = []
+    spreads = []
     for s in PAPER_SENSINGS:
         cells = make_cells((s,))
         like = get_means(results, alike, cells)
@@ -187,12 +191,13 @@ def _conclude_greatest(effect, cause, what, agrees, differs):
         agrees: What is also true of it if it has the greatest cause.
         differs: What is true of it otherwise.
     """
-    yes, no = [], []
+    yes: list[str] = []
+    no: list[str] = []
     for s in PAPER_SENSINGS:
         cells = [c for c in make_cells((s,)) if c in effect and c in cause]
         if len(cells) < 2:
             continue
-        top = max(cells, key=effect.get)
+        top = max(cells, key=effect.__getitem__)
         side = yes if cause[top] >= max(cause[c] for c in cells) else no
         side.append(top.label)
     return join(

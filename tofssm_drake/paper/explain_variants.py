@@ -1,5 +1,6 @@
 """What the variants that were run change of a claim."""
 
+from collections.abc import Sequence
 import dataclasses as dc
 
 from tofssm_drake.paper.cells import VARIANTS, Cell
@@ -15,7 +16,7 @@ def explain_variants(
     results: Results,
     metric: str,
     cells: list[Cell],
-    pairs: list[tuple[Cell, Cell]] | None = None,
+    pairs: Sequence[tuple[Cell, Cell]] | None = None,
     *,
     digits: int = 2,
     scale: float = 1.0,

@@ -32,7 +32,7 @@ def explain_times(
         by: What cells have in common that are compared with each other:
             sensing or configuration.
     """
-    groups = {}
+    groups: dict[str, list[Cell]] = {}
     for cell in cells:
         groups.setdefault(getattr(cell, by), []).append(cell)
     return join(
@@ -52,8 +52,8 @@ def _conclude_times(results, cells):
     known = [c for c in productivity if c in stopped and c in reduced]
     if len(known) < 2:
         return ""
-    best = max(known, key=productivity.get)
-    worst = min(known, key=productivity.get)
+    best = max(known, key=productivity.__getitem__)
+    worst = min(known, key=productivity.__getitem__)
     by_stops = stopped[worst] - stopped[best]
     by_slowness = 0.5 * (reduced[worst] - reduced[best])
     head = f"So {best.label} is more productive than {worst.label} "
@@ -114,11 +114,12 @@ def explain_standing(
     both = [cell for cell in safety if cell in share]
     if len(both) < 2:
         return ""
-    fits, against = [], []
+    fits: list[str] = []
+    against: list[str] = []
     for pair in pairs:
         if not set(pair) <= set(both):
             continue
-        high, low = sorted(pair, key=safety.get, reverse=True)
+        high, low = sorted(pair, key=safety.__getitem__, reverse=True)
         side = fits if share[high] > share[low] else against
         side.append(
             f"{high.label} over {low.label} "
@@ -169,7 +170,8 @@ def explain_chatter(results: Results) -> str:
     cells = make_cells()
     per_episode = get_means(results, "state_changes_per_episode", cells)
     per_minute = get_means(results, "state_changes_per_min", cells)
-    same, other = [], []
+    same: list[str] = []
+    other: list[str] = []
     for s in PAPER_SENSINGS:
         known = [
             cell
@@ -178,10 +180,10 @@ def explain_chatter(results: Results) -> str:
         ]
         if len(known) < 2:
             continue
-        order = sorted(known, key=per_minute.get, reverse=True)
+        order = sorted(known, key=per_minute.__getitem__, reverse=True)
         side = (
             same
-            if order == sorted(known, key=per_episode.get, reverse=True)
+            if order == sorted(known, key=per_episode.__getitem__, reverse=True)
             else other
         )
         side.append(" > ".join(cell.label for cell in order))

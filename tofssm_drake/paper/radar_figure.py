@@ -4,6 +4,7 @@ import math
 
 import matplotlib
 from matplotlib.figure import Figure
+from matplotlib.layout_engine import ConstrainedLayoutEngine
 import numpy as np
 
 from tofssm_drake.paper.cell_style import NARROW, SENSING_TEXT, WIDE, list_plain
@@ -45,7 +46,8 @@ def make_radar_figure(results: Results, *, narrow: bool = False) -> Figure:
     with matplotlib.rc_context(STYLE):
         figure = Figure(
             figsize=(NARROW, 15.0) if narrow else (WIDE, 9.6),
-            layout="constrained",
+            # A browser's letters are wider than those measured here.
+            layout=ConstrainedLayoutEngine(w_pad=0.2),
         )
         shape = (4, 1) if narrow else (2, 2)
         axes = figure.subplots(
@@ -53,8 +55,6 @@ def make_radar_figure(results: Results, *, narrow: bool = False) -> Figure:
         )
         for ax, (title, curves) in zip(axes.ravel(), RADARS, strict=True):
             _draw_radar(ax, results, cells, title, curves)
-        # A browser's letters are wider than those measured here.
-        figure.get_layout_engine().set(w_pad=0.2)
     return figure
 
 

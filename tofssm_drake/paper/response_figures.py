@@ -136,8 +136,8 @@ def _make_grid(samples, narrow, *, height, share=False):
             figsize=(NARROW, height * max(len(cells), 1) + 0.8),
             layout="constrained",
         )
-        axes = figure.subplots(max(len(cells), 1), 1, squeeze=False)[:, 0]
-        return figure, dict(zip(cells, axes, strict=False))
+        column = figure.subplots(max(len(cells), 1), 1, squeeze=False)[:, 0]
+        return figure, dict(zip(cells, column, strict=False))
     figure = Figure(
         figsize=(WIDE, height * max(len(configurations), 1) + 0.9),
         layout="constrained",

@@ -11,8 +11,9 @@ from tofssm_drake.perception.self_hits import make_no_expectation, must_see
 class Motion(Protocol):
     """What is known of a task: where the robot is when, and what it carries."""
 
-    duration: float
-    """Path time at the end, s."""
+    @property
+    def duration(self) -> float:
+        """Path time at the end, s."""
 
     def calc_motion(self, s: float) -> np.ndarray:
         """Returns joints, their speeds and accelerations, (3, j)."""

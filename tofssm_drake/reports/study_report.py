@@ -1,6 +1,7 @@
 """The report of a study of one's own."""
 
 from pathlib import Path
+from typing import Any
 
 from tofssm_drake.recording.samples import write_atomically
 from tofssm_drake.reports import figures
@@ -16,7 +17,7 @@ from tofssm_drake.studies.results import Results
 from tofssm_drake.studies.statistics import calc_rate_bound
 from tofssm_drake.studies.study import Study, StudyCell, make_study_results
 
-_PERCENT = {"unit": "%", "digits": 1, "scale": 100.0}
+_PERCENT: dict[str, Any] = {"unit": "%", "digits": 1, "scale": 100.0}
 
 METRICS = {
     "Productivity": (

@@ -10,6 +10,8 @@ others are given it:
     RtdePublisherSystem    sends the command in forced publish events
 """
 
+from typing import Protocol
+
 import numpy as np
 from pydrake.common.value import Value
 from pydrake.systems.framework import (
@@ -157,8 +159,20 @@ class RtdePublisherSystem(LeafSystem):
         return EventStatus.Succeeded()
 
 
+class ProgressReport(Protocol):
+    """What a robot reports of its program; `RobotReport` is one."""
+
+    @property
+    def digital_outputs(self) -> int:
+        """Bits, or -1."""
+
+    @property
+    def products_placed(self) -> int:
+        """Number, or -1."""
+
+
 def read_carried_objects(
-    report: RobotReport, path: ProgramPath, gripper_output: int
+    report: ProgressReport, path: ProgramPath, gripper_output: int
 ) -> np.ndarray:
     """Returns where the task's objects are, by what the robot reports.
 

@@ -39,10 +39,10 @@ class CustomSensor:
         sensor = call_factory(self.factory, self.parameters, where=where)
         where = f"{where}.factory: {self.factory}"
         traits = getattr(sensor, "traits", None)
-        require(
-            isinstance(traits, SensorTraits),
-            f"{where}: what it returns has no `traits` of type SensorTraits",
-        )
+        if not isinstance(traits, SensorTraits):
+            raise UserError(
+                f"{where}: what it returns has no `traits` of type SensorTraits"
+            )
         require(
             callable(getattr(sensor, "measure", None)),
             f"{where}: what it returns has no method "

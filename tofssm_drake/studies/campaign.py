@@ -8,7 +8,7 @@ paper's experiment has sensings and configurations of its law.
 from collections.abc import Mapping
 import dataclasses as dc
 import json
-from typing import ClassVar, Protocol
+from typing import ClassVar, Generic, Protocol, TypeVar
 
 from tofssm_drake.errors import require
 from tofssm_drake.recording.columns import Column
@@ -40,11 +40,15 @@ class Cell(Protocol):
         """Returns the columns of a row that say which cell it is."""
 
 
+CellT = TypeVar("CellT", bound=Cell)
+"""A campaign's kind of cell."""
+
+
 @dc.dataclass(frozen=True, kw_only=True)
-class PlannedRun:
+class PlannedRun(Generic[CellT]):
     """One run; without a trial there is no person."""
 
-    cell: Cell
+    cell: CellT
     trial: Trial | None = None
 
     @property
@@ -66,11 +70,11 @@ class PlannedRun:
 
 
 @dc.dataclass(frozen=True, kw_only=True)
-class Plan:
+class Plan(Generic[CellT]):
     """Everything that determines the results of a campaign."""
 
     seed: int
-    cells: tuple[Cell, ...]
+    cells: tuple[CellT, ...]
     trials: tuple[Trial, ...]
     scenario: dict
     """What all runs have in common, as plain values."""
@@ -80,9 +84,9 @@ class Plan:
     versions: dict[str, str] = dc.field(default_factory=dict)
     """Of the packages that a result depends on."""
 
-    def list_runs(self) -> list[PlannedRun]:
+    def list_runs(self) -> list[PlannedRun[CellT]]:
         """Returns the runs, trial by trial, those without a person first."""
-        first = {}
+        first: dict[str, PlannedRun[CellT]] = {}
         for cell in self.cells:
             first.setdefault(cell.reference, PlannedRun(cell=cell))
         return [

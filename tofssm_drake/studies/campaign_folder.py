@@ -63,10 +63,10 @@ def find_change(old: dict, new: dict) -> str | None:
         new: Likewise.
     """
     lists = {part: old[part] for part in ("cells", "trials")}
-    rest = [
+    old_rest, new_rest = (
         {k: v for k, v in plan.items() if k not in lists} for plan in (old, new)
-    ]
-    if difference := find_difference(*rest):
+    )
+    if difference := find_difference(old_rest, new_rest):
         return difference
     for part, items in lists.items():
         for item in items:

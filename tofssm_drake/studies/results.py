@@ -82,7 +82,7 @@ class Results:
     def __init__(self, rows: list[dict], read_cell: Callable[[dict], Hashable]):
         self.references = {row["run"]: row for row in rows if not row["trial"]}
         """Rows of the runs without a person by their keys."""
-        self._rows = {}
+        self._rows: dict[Hashable, dict[int, dict]] = {}
         for row in rows:
             if row["trial"]:
                 of_cell = self._rows.setdefault(read_cell(row), {})

@@ -1,5 +1,6 @@
 """A study of one's own: named scenarios, compared trial by trial."""
 
+from collections.abc import Mapping
 import dataclasses as dc
 import re
 from typing import ClassVar
@@ -92,7 +93,7 @@ def _check_name(name, where):
 class StudyCell:
     """A scenario of a study, with the name it has there."""
 
-    COLUMNS: ClassVar[dict[str, Column]] = {
+    COLUMNS: ClassVar[Mapping[str, Column]] = {
         "cell": Column(meaning="name of the scenario in the study"),
         "variant": Column(meaning="what was changed in it; empty: nothing"),
     }
@@ -137,7 +138,7 @@ def make_study_plan(
     trials: int,
     motions: dict[str, str] | None = None,
     versions: dict[str, str] | None = None,
-) -> Plan:
+) -> Plan[StudyCell]:
     """Makes the plan of a study.
 
     Args:
