@@ -203,9 +203,20 @@ def find_lidars(scenario: Scenario) -> dict[str, PlanarLidar]:
 
 
 def find_rtde(scenario: Scenario) -> Rtde:
-    """Returns the settings of the real cell; the default if it has none."""
+    """Returns the settings of the real cell; the default if it is simulated.
+
+    Raises:
+        UserError: The driver is of another kind, which must not be taken for a
+            controller with RTDE.
+    """
     driver = scenario.driver
-    return driver if isinstance(driver, Rtde) else Rtde()
+    if isinstance(driver, Rtde):
+        return driver
+    require(
+        isinstance(driver, Simulated),
+        f"driver: !{type(driver).__name__} is not over RTDE; must be !Rtde",
+    )
+    return Rtde()
 
 
 def find_threshold_offsets(scenario: Scenario) -> np.ndarray:

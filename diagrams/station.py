@@ -76,7 +76,8 @@ def make_station(scenario: Scenario) -> Station:
     """
     require(
         isinstance(scenario.driver, Simulated),
-        "driver: !Rtde is a real robot: run it with tofssm hardware, or "
+        f"driver: !{type(scenario.driver).__name__} is a real robot: run it "
+        "with tofssm hardware, or "
         "simulate the cell with --scenario-text '{driver: !Simulated {}}'",
     )
     builder = DiagramBuilder()
