@@ -24,7 +24,6 @@ from pydrake.systems.framework import DiagramBuilder
 
 from tofssm_drake.arms.cell_plant import make_cell_plant
 from tofssm_drake.arms.kinematics import ArmKinematics
-from tofssm_drake.diagrams.people import make_person_motion
 from tofssm_drake.diagrams.scenario import load_scenario
 from tofssm_drake.diagrams.sensors.rings import find_rings
 from tofssm_drake.people.avatar import HumanAvatar
@@ -64,9 +63,8 @@ class Scene:
 
     def __init__(self, *, sensors: int, meshes: bool):
         scenario = load_scenario(name="Default")
-        motion = make_person_motion(
-            scenario.people["visitor"], scenario.control_period
-        )
+        person = scenario.people["visitor"]
+        motion = person.make_motion(scenario.control_period)
         rings = find_rings(scenario.sensors)
         for ring in rings.values():
             ring.count = sensors

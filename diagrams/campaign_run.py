@@ -16,6 +16,7 @@ from tofssm_drake.metrics.audit import calc_audit
 from tofssm_drake.metrics.run_metrics import calc_run_metrics
 from tofssm_drake.people.bvh import BvhRecording
 from tofssm_drake.people.custom_motion import CustomMotion
+from tofssm_drake.people.walk import GeneratedWalk
 from tofssm_drake.recording.samples import write_samples
 from tofssm_drake.studies.campaign import PlannedRun
 from tofssm_drake.studies.results import make_row
@@ -65,7 +66,7 @@ def vary_person(
 
     A walk gets the trial's speed, stature and way. A recording gets the way;
     it keeps its speed and stature. A motion of one's own gets the trial's seed
-    if it has a parameter `seed`, and else stays as it is.
+    if it has a parameter `seed`. Anybody else stays as they are.
 
     Args:
         person: Of the scenario; not changed.
@@ -77,6 +78,8 @@ def vary_person(
             {"seed": float(trial.seed)} if "seed" in person.parameters else {}
         )
         return dc.replace(person, parameters=person.parameters | seed)
+    if not isinstance(person, GeneratedWalk | BvhRecording):
+        return person
     path = copy.deepcopy(person.figure_eight)
     path.start = trial.start
     path.reverse = trial.reverse

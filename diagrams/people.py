@@ -1,7 +1,7 @@
 """The people of a cell, and other things that move in it.
 
-To add a kind of person, write its motion's file in `tofssm_drake/people`, and
-name it in `Person` and in `make_person_motion`.
+To add a kind of person, write its file in `tofssm_drake/people`, a dataclass
+with `check` and `make_motion`, and name it in `Person`.
 """
 
 from collections.abc import Mapping, Sequence
@@ -13,11 +13,11 @@ from pydrake.systems.framework import DiagramBuilder, OutputPort
 from pydrake.systems.primitives import ConstantVectorSource, Multiplexer
 
 from tofssm_drake.people.avatar import HumanAvatar
-from tofssm_drake.people.bvh import BvhRecording, make_bvh_motion
-from tofssm_drake.people.custom_motion import CustomMotion, load_motion
+from tofssm_drake.people.bvh import BvhRecording
+from tofssm_drake.people.custom_motion import CustomMotion
 from tofssm_drake.people.motion import HumanMotion
 from tofssm_drake.people.moving_box import MovingBox, MovingBoxSystem
-from tofssm_drake.people.walk import GeneratedWalk, make_walk
+from tofssm_drake.people.walk import GeneratedWalk
 
 Person = GeneratedWalk | BvhRecording | CustomMotion
 
@@ -44,20 +44,6 @@ class People:
         return [avatar.motion for avatar in self.avatars.values()]
 
 
-def make_person_motion(person: Person, period: float) -> HumanMotion:
-    """Returns how a person moves.
-
-    Args:
-        person: Checked settings.
-        period: Control tick, s.
-    """
-    if isinstance(person, BvhRecording):
-        return make_bvh_motion(person, period)
-    if isinstance(person, CustomMotion):
-        return load_motion(person, period)
-    return make_walk(person, period)
-
-
 def add_people(
     builder: DiagramBuilder,
     scene_graph: SceneGraph,
@@ -80,7 +66,7 @@ def add_people(
             name,
             HumanAvatar(
                 scene_graph=scene_graph,
-                motion=make_person_motion(person, period),
+                motion=person.make_motion(period),
                 name=name,
             ),
         )

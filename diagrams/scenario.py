@@ -19,13 +19,14 @@ from tofssm_drake.arms.arm_file import find_model_file
 from tofssm_drake.arms.cell_plant import WORKCELL
 from tofssm_drake.arms.sim_arm import Simulated
 from tofssm_drake.arms.ur_arm import UrArm
+from tofssm_drake.diagrams.people import Person
 from tofssm_drake.diagrams.rtde_driver import Rtde
 from tofssm_drake.diagrams.sensors import (
-    MotionCapture,
     PlanarLidar,
-    Ring,
+    Sensor,
     find_link_frames,
 )
+from tofssm_drake.diagrams.tasks import Task
 from tofssm_drake.diagrams.yaml_check import (
     check_yaml,
     get_children,
@@ -35,16 +36,11 @@ from tofssm_drake.errors import UserError, require
 from tofssm_drake.laws.custom_law import Custom
 from tofssm_drake.laws.tri_ssm_law import TriSsm
 from tofssm_drake.metrics.standards import AuditConfig
-from tofssm_drake.people.bvh import BvhRecording
-from tofssm_drake.people.custom_motion import CustomMotion
 from tofssm_drake.people.moving_box import MovingBox
-from tofssm_drake.people.walk import GeneratedWalk
 from tofssm_drake.perception.occlusion_mask import OcclusionMaskConfig
 from tofssm_drake.perception.self_hits import SelfHitConfig
 from tofssm_drake.perception.separation import SeparationConfig
-from tofssm_drake.tasks.no_task import NoTask
 from tofssm_drake.tasks.program import PickAndPlace
-from tofssm_drake.tasks.waypoints import Waypoints
 
 _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 
@@ -97,22 +93,16 @@ class Scenario:
     driver: Simulated | Rtde = dc.field(default_factory=Simulated)
 
     # The task: where the products are and how fast the arm moves.
-    task: PickAndPlace | Waypoints | NoTask = dc.field(
-        default_factory=PickAndPlace
-    )
+    task: Task = dc.field(default_factory=PickAndPlace)
 
     # Who is in the cell, by name.
-    people: dict[str, GeneratedWalk | BvhRecording | CustomMotion] = dc.field(
-        default_factory=dict
-    )
+    people: dict[str, Person] = dc.field(default_factory=dict)
 
     # What else moves in the cell and is seen, e.g. a cart.
     obstacles: dict[str, MovingBox] = dc.field(default_factory=dict)
 
     # What watches the person, by name.
-    sensors: dict[str, Ring | PlanarLidar | MotionCapture] = dc.field(
-        default_factory=dict
-    )
+    sensors: dict[str, Sensor] = dc.field(default_factory=dict)
 
     # Which readings are the robot's own.
     mask: OcclusionMaskConfig = dc.field(default_factory=OcclusionMaskConfig)
@@ -213,9 +203,20 @@ def find_lidars(scenario: Scenario) -> dict[str, PlanarLidar]:
 
 
 def find_rtde(scenario: Scenario) -> Rtde:
-    """Returns the settings of the real cell; the default if it has none."""
+    """Returns the settings of the real cell; the default if it is simulated.
+
+    Raises:
+        UserError: The driver is of another kind, which must not be taken for a
+            controller with RTDE.
+    """
     driver = scenario.driver
-    return driver if isinstance(driver, Rtde) else Rtde()
+    if isinstance(driver, Rtde):
+        return driver
+    require(
+        isinstance(driver, Simulated),
+        f"driver: !{type(driver).__name__} is not over RTDE; must be !Rtde",
+    )
+    return Rtde()
 
 
 def find_threshold_offsets(scenario: Scenario) -> np.ndarray:

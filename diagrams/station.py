@@ -77,8 +77,9 @@ def make_station(scenario: Scenario) -> Station:
     driver = scenario.driver
     if not isinstance(driver, Simulated):
         raise UserError(
-            "driver: !Rtde is a real robot: run it with tofssm hardware, or "
-            "simulate the cell with --scenario-text '{driver: !Simulated {}}'"
+            f"driver: !{type(driver).__name__} is a real robot: run it with "
+            "tofssm hardware, or simulate the cell with --scenario-text "
+            "'{driver: !Simulated {}}'"
         )
     builder = DiagramBuilder()
     scene_graph, plant = make_scene(builder, scenario)

@@ -58,6 +58,13 @@ class TestScenario(unittest.TestCase):
         self.assertEqual(person.parameters, {"seed": trial.seed})
         self.assertEqual(asks.parameters, {"seed": 0.0})
 
+    def test_any_other_person_stays_as_they_are(self):
+        class Standing:
+            """A kind of person with settings of its own."""
+
+        person = Standing()
+        self.assertIs(mut.vary_person(person, make_trial(0, 1)), person)
+
     def test_nobody_there(self):
         scenario = mut.make_run_scenario(self.base, None)
         self.assertEqual(scenario.people, {})

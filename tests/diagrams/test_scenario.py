@@ -7,6 +7,7 @@ import unittest
 import yaml
 
 import tofssm_drake.diagrams.scenario as mut
+from tofssm_drake.diagrams.station import make_station
 from tofssm_drake.errors import UserError
 from tofssm_drake.people.bvh import BvhRecording
 from tofssm_drake.people.walk import GeneratedWalk
@@ -188,6 +189,21 @@ class TestLoad(unittest.TestCase):
         one.law.C_dC = 9.0
         self.assertEqual(other.sensors["wrist"].dead_sensors, [3])
         self.assertEqual(other.law.C_dC, 0.4)
+
+
+class TestDriver(unittest.TestCase):
+    def test_another_driver_is_not_taken_for_one_with_rtde(self):
+        @dc.dataclass
+        class Other:
+            """A driver of another brand."""
+
+        scenario = mut.load_scenario()
+        self.assertEqual(mut.find_rtde(scenario), mut.Rtde())
+        scenario.driver = Other()
+        with self.assertRaisesRegex(UserError, "driver: !Other is not over"):
+            mut.find_rtde(scenario)
+        with self.assertRaisesRegex(UserError, "driver: !Other is a real"):
+            make_station(scenario)
 
 
 class TestDump(unittest.TestCase):

@@ -146,6 +146,10 @@ class BvhRecording:
         )
         self.figure_eight.check(f"{where}.figure_eight")
 
+    def make_motion(self, period: float) -> HumanMotion:
+        """Returns the motion; period: control tick, s."""
+        return make_bvh_motion(self, period)
+
 
 def _norm(vector):
     return np.linalg.norm(vector, axis=-1)

@@ -18,8 +18,11 @@ class CustomMotion:
     # The function, "package.module:function".
     factory: str = ""
 
-    # Its further arguments, by name.
-    parameters: dict[str, float] = dc.field(default_factory=dict)
+    # Its further arguments, by name: numbers, words, true or false. A file's
+    # name is one relative to the current folder.
+    parameters: dict[str, bool | int | float | str] = dc.field(
+        default_factory=dict
+    )
 
     def check(self, where: str) -> None:
         """Raises UserError unless the function makes a motion."""
@@ -28,6 +31,10 @@ class CustomMotion:
             f'{where}.factory: must be "package.module:function"',
         )
         load_motion(self, 0.008, where=where)
+
+    def make_motion(self, period: float) -> HumanMotion:
+        """Returns the motion; period: control tick, s."""
+        return load_motion(self, period)
 
 
 def load_motion(

@@ -103,6 +103,10 @@ class GeneratedWalk:
         )
         self.figure_eight.check(f"{where}.figure_eight")
 
+    def make_motion(self, period: float) -> HumanMotion:
+        """Returns the motion; period: control tick, s."""
+        return make_walk(self, period)
+
 
 def _interpolate_cycle(phase, knots, values):
     """Interpolates a periodic curve with phase in [0, 1), without overshoot."""
