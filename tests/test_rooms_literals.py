@@ -40,19 +40,16 @@ _ALLOWED = {
     "three": {},
     "six": {
         "tofssm_drake/arms/tool_down.py": "a closed form for six joints",
-        "tofssm_drake/messages.py": "RTDE's six joints, in RobotReport",
         "tofssm_drake/raycast": "boxes and their six bounds",
-        "tofssm_drake/rtde": "the protocol's six joints",
     },
     "variant": {
-        "scripts/experiments.py": "prints the paper's table of parameters",
+        "scripts/paper_experiment.py": "prints the paper's parameters",
         "tofssm_drake/laws": "they are the law's",
         "tofssm_drake/paper": "the paper compares them",
     },
     "sensing": {
-        "diagrams/campaign_run.py": "makes the paper's cells",
         "diagrams/scenario.py": "keys that are renamed",
-        "scripts/experiments.py": "runs the paper's cells",
+        "scripts/paper_experiment.py": "runs the paper's cells",
         "tofssm_drake/paper": "the paper compares them",
         "tofssm_drake/perception": "their systems",
         "tofssm_drake/sensors": "their systems",

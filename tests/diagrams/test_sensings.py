@@ -230,7 +230,7 @@ class TestRuns:
         assert "Audit against the standard" in page
         assert {
             "MotionCapture": "tool link",
-            "PlanarLidar": "A lidar at its base",
+            "PlanarLidar": "A lidar, which sees the person",
         }[sensing] in page
 
     @pytest.mark.parametrize("sensing", OTHERS)

@@ -180,10 +180,12 @@ _AUDIT = {
     "latency_over_T_R_s": Column(
         unit="s", meaning="the same less what the law assumes"
     ),
-    "ur10_stop_time_s": Column(
-        unit="s", meaning="worst stopping time of a UR10 from the highest speed"
+    "stated_stop_time_s": Column(
+        unit="s",
+        meaning="longest stopping time that the robot's maker states for the "
+        "highest speed",
     ),
-    "ur10_stop_over_T_stop_s": Column(
+    "stated_stop_over_T_stop_s": Column(
         unit="s", meaning="the same less what the law assumes"
     ),
 }
