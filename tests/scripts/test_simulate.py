@@ -345,7 +345,8 @@ BAD_INPUT = {
     ),
     "out_of_reach": (
         _text("{task: {pick_center: [0.0, -3.0, 0.7]}}"),
-        "out of the robot's reach",
+        "task.pick_center: point [-0.2, -3.05, 0.8251]: out of the robot's "
+        "reach",
     ),
     "real_robot": (
         _text("{driver: !Rtde {}}"),

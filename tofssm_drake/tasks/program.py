@@ -388,6 +388,16 @@ class _Station:
     """Direction of the tool's x axis, rad."""
     hover: np.ndarray
     """Joints at the hover point, rad, (n,)."""
+    setting: str
+    """Which setting places it, for messages."""
+
+
+def _solve(kinematics, p_WT, yaw, setting):
+    """Returns joints, rad, (n,); an error names the setting."""
+    try:
+        return calc_tool_down_joints(kinematics, p_WT, yaw)
+    except UserError as error:
+        raise UserError(f"task.{setting}: {error}") from None
 
 
 def _find_stations(config, kinematics):
@@ -399,15 +409,21 @@ def _find_stations(config, kinematics):
     radial = kinematics.X_WB[:, :3] @ [np.cos(azimuth), np.sin(azimuth), 0]
     p_WHover = base + config.hover_radius * radial
     p_WHover[2] = config.hover_height
-    hover_pick = calc_tool_down_joints(kinematics, p_WHover, pick_yaw)
+    hover_pick = _solve(kinematics, p_WHover, pick_yaw, "hover_radius")
     hover_place = hover_pick.copy()
     hover_place[0] += sweep
     return (
-        _Station(slots=calc_pick_slots(config), yaw=pick_yaw, hover=hover_pick),
+        _Station(
+            slots=calc_pick_slots(config),
+            yaw=pick_yaw,
+            hover=hover_pick,
+            setting="pick_center",
+        ),
         _Station(
             slots=calc_place_slots(config),
             yaw=pick_yaw + sweep,
             hover=hover_place,
+            setting="place_center",
         ),
     )
 
@@ -420,7 +436,7 @@ def _serve(path, config, kinematics, station, i):
     """
 
     def solve(p_WT):
-        q = calc_tool_down_joints(kinematics, p_WT, station.yaw)
+        q = _solve(kinematics, p_WT, station.yaw, station.setting)
         for k in (0, len(q) - 1):
             turns = (station.hover[k] - q[k]) / (2 * np.pi)
             q[k] += 2 * np.pi * np.round(turns)
