@@ -74,10 +74,10 @@ def vary_person(
         motion: See `make_run_scenario`.
     """
     if isinstance(person, CustomMotion):
-        seed = (
-            {"seed": float(trial.seed)} if "seed" in person.parameters else {}
-        )
-        return dc.replace(person, parameters=person.parameters | seed)
+        parameters = dict(person.parameters)
+        if "seed" in parameters:
+            parameters["seed"] = float(trial.seed)
+        return dc.replace(person, parameters=parameters)
     if not isinstance(person, GeneratedWalk | BvhRecording):
         return person
     path = copy.deepcopy(person.figure_eight)

@@ -1,7 +1,8 @@
 """Functions of a user's own, named in a scenario."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 import importlib
+import inspect
 import os
 import sys
 from types import ModuleType
@@ -24,49 +25,72 @@ def find_factory(factory: str, *, where: str) -> Callable[..., Any]:
     """Returns the function that a scenario names.
 
     Args:
-        factory: "package.module:function".
+        factory: "package.module:function". Python looks for the module where it
+            looks for all, and in the current folder.
         where: Path of keys, for the message.
 
     Raises:
         UserError: It is not of this form, or there is no such function.
     """
-    module_name, _, name = factory.partition(":")
+    module_name, colon, name = factory.partition(":")
     require(
-        bool(module_name and name),
+        bool(module_name and colon and name.isidentifier()),
         f'{where}: {factory!r} must be "package.module:function"',
     )
     try:
         module = import_here(module_name)
-    except ImportError as error:
+    except Exception as error:
+        missing = isinstance(error, ModuleNotFoundError) and error.name
+        if missing and f"{module_name}.".startswith(f"{missing}."):
+            raise UserError(
+                f"{where}: there is no module {module_name!r}, neither "
+                "installed nor in the current folder"
+            ) from None
         raise UserError(
-            f"{where}: cannot import {factory!r}: {error}"
+            f"{where}: {module_name} cannot be imported: {tell(error)}"
         ) from error
     function = getattr(module, name, None)
     if not callable(function):
-        raise UserError(f"{where}: {module_name} has no function {name!r}")
+        raise UserError(
+            f"{where}: module {module_name!r} has no function {name!r}"
+        )
     return function
 
 
 def call_factory(
-    factory: str, parameters: dict[str, Any], *, where: str, **given: Any
+    factory: str, parameters: Mapping[str, Any], *, where: str, **given: Any
 ) -> Any:
     """Calls a user's function.
 
     Args:
-        factory: "package.module:function".
+        factory: See `find_factory`.
         parameters: Of the scenario.
         where: Path of keys to the choice, for the message.
         **given: Further arguments.
 
     Raises:
-        UserError: There is no such function, or it raises.
+        UserError: There is no such function, it does not take these arguments,
+            or it raises.
     """
     function = find_factory(factory, where=f"{where}.factory")
+    try:
+        inspect.signature(function).bind(**given, **parameters)
+    except TypeError as error:
+        raise UserError(
+            f"{where}.parameters: {factory} does not take these: {error}"
+        ) from None
+    except ValueError:
+        # Some built-in functions have no signature.
+        pass
     try:
         return function(**given, **parameters)
     except UserError:
         raise
     except Exception as error:
-        raise UserError(
-            f"{where}: {factory}: {type(error).__name__}: {error}"
-        ) from error
+        raise UserError(f"{where}: {factory}: {tell(error)}") from error
+
+
+def tell(error: Exception) -> str:
+    """Returns an error in one line."""
+    text = " ".join(str(error).split())
+    return f"{type(error).__name__}: {text}" if text else type(error).__name__

@@ -1,15 +1,13 @@
 """A law of one's own as a choice of a scenario."""
 
-from collections.abc import Callable
 import dataclasses as dc
-import inspect
 
 import numpy as np
 from pydrake.systems.framework import PortDataType, System
 
 from tofssm_drake.errors import UserError, require
-from tofssm_drake.factory import import_here
-from tofssm_drake.laws.law import Law, LawTraits
+from tofssm_drake.factory import call_factory, tell
+from tofssm_drake.laws.law import LawTraits
 from tofssm_drake.messages import (
     RingHealth,
     Separation,
@@ -43,7 +41,7 @@ class Custom:
         Args:
             where: Name of these settings in the user's input.
         """
-        law = load_law(self.factory, self.parameters, where=where)
+        law = call_factory(self.factory, self.parameters, where=where)
         where = f"{where}.factory: {self.factory}"
         require(
             isinstance(getattr(law, "traits", None), LawTraits),
@@ -60,7 +58,7 @@ class Custom:
                 links=_TRIAL, offset=np.zeros(len(_TRIAL)), period=_TICK
             )
         except Exception as error:
-            raise UserError(f"{where}: make: {_tell(error)}") from error
+            raise UserError(f"{where}: make: {tell(error)}") from error
         check_law_system(system, law.traits, _TRIAL, where=f"{where}: make")
 
     @property
@@ -78,72 +76,7 @@ class Custom:
         return system
 
     def _load(self):
-        return load_law(self.factory, self.parameters, where="law")
-
-
-def load_law(factory: str, parameters: dict, *, where: str) -> Law:
-    """Calls a factory.
-
-    Args:
-        factory: "package.module:function".
-        parameters: Its keyword arguments.
-        where: Name of the settings, for the message.
-
-    Raises:
-        UserError: It cannot be found or called.
-    """
-    function = find_factory(factory, where=f"{where}.factory")
-    try:
-        inspect.signature(function).bind(**parameters)
-    except TypeError as error:
-        raise UserError(
-            f"{where}.parameters: {factory} does not take these: {error}"
-        ) from None
-    except ValueError:
-        # Some built-in functions have no signature.
-        pass
-    try:
-        return function(**parameters)
-    except Exception as error:
-        raise UserError(f"{where}: {factory}: {_tell(error)}") from error
-
-
-def find_factory(factory: str, *, where: str) -> Callable:
-    """Imports a function by name.
-
-    Args:
-        factory: "package.module:function".
-        where: Name of the setting, for the message.
-
-    Raises:
-        UserError: There is no such function.
-    """
-    module_name, colon, name = factory.partition(":")
-    require(
-        bool(module_name and colon and name.isidentifier()),
-        f'{where}: {factory!r} must be "package.module:function"',
-    )
-    try:
-        module = import_here(module_name)
-    except ModuleNotFoundError as error:
-        if error.name and f"{module_name}.".startswith(f"{error.name}."):
-            raise UserError(
-                f"{where}: there is no module {module_name!r}, neither "
-                "installed nor in the current folder"
-            ) from None
-        raise UserError(
-            f"{where}: {module_name} cannot be imported: {_tell(error)}"
-        ) from error
-    except Exception as error:
-        raise UserError(
-            f"{where}: {module_name} cannot be imported: {_tell(error)}"
-        ) from error
-    function = getattr(module, name, None)
-    if not callable(function):
-        raise UserError(
-            f"{where}: module {module_name!r} has no function {name!r}"
-        )
-    return function
+        return call_factory(self.factory, self.parameters, where="law")
 
 
 def check_law_system(
@@ -169,7 +102,7 @@ def check_law_system(
             port.FixValue(context, separation)
             decision = system.GetOutputPort("decision").Eval(context)
         except Exception as error:
-            raise UserError(f"{where}: {case}: {_tell(error)}") from error
+            raise UserError(f"{where}: {case}: {tell(error)}") from error
         _require_decision(decision, traits, links, where)
         require(
             decision.safe_target < 1.0 and bool(decision.reason),
@@ -258,9 +191,3 @@ def _require_decision(decision, traits, links, where):
         f"{where}: decision: {len(decision.state)} states for {m} links and "
         f"{len(traits.states)} names of states",
     )
-
-
-def _tell(error):
-    """Returns an error in one line."""
-    text = " ".join(str(error).split())
-    return f"{type(error).__name__}: {text}" if text else type(error).__name__
