@@ -110,7 +110,9 @@ def test_mistakes_are_named(name, expected):
 
 
 def test_wrong_parameters_and_no_factory():
-    with pytest.raises(UserError, match=r"sensor\.parameters: .*unexpected keyword"):
+    with pytest.raises(
+        UserError, match=r"sensor\.parameters: .*unexpected keyword"
+    ):
         make("Good", reach=1.0).check("sensor")
     with pytest.raises(UserError, match=r"sensor\.factory: .*module:function"):
         mut.CustomSensor().check("sensor")
