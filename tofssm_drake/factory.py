@@ -39,7 +39,7 @@ def find_factory(factory: str, *, where: str) -> Callable[..., Any]:
     )
     try:
         module = import_here(module_name)
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         missing = isinstance(error, ModuleNotFoundError) and error.name
         if missing and f"{module_name}.".startswith(f"{missing}."):
             raise UserError(
@@ -86,11 +86,11 @@ def call_factory(
         return function(**given, **parameters)
     except UserError:
         raise
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         raise UserError(f"{where}: {factory}: {tell(error)}") from error
 
 
-def tell(error: Exception) -> str:
+def tell(error: BaseException) -> str:
     """Returns an error in one line."""
     text = " ".join(str(error).split())
     return f"{type(error).__name__}: {text}" if text else type(error).__name__

@@ -10,6 +10,7 @@ from pydrake.systems.rendering import MultibodyPositionToGeometryPose
 import tofssm_drake.arms.cell_plant as mut
 from tofssm_drake.arms.kinematics import ArmKinematics
 from tofssm_drake.errors import UserError
+from tofssm_drake.poses import Pose
 from tofssm_drake.sensors.ring import Ring
 from tofssm_drake.tasks.program import PickAndPlace, make_program_path
 
@@ -58,6 +59,21 @@ class TestCellPlant(unittest.TestCase):
                 for geometry_id in inspector.GetAllGeometryIds(role)
             ]
             self.assertEqual(sum("_ring_" in name for name in names), count)
+
+    def test_looks_of_sensors_at_poses_of_their_own(self):
+        """They have windows, and no band to sit on."""
+        ring = Ring(parent="ur10::tool0", poses=[Pose(), Pose()])
+        scene_graph = SceneGraph()
+        mut.make_cell_plant(sensors={"a": ring}, scene_graph=scene_graph)
+        inspector = scene_graph.model_inspector()
+        names = [
+            inspector.GetName(geometry_id)
+            for geometry_id in inspector.GetAllGeometryIds(Role.kIllustration)
+        ]
+        self.assertEqual(
+            [name for name in names if "_ring_" in name],
+            ["a_ring_window_0", "a_ring_window_1"],
+        )
 
     def test_ring_without_a_frame_to_carry_it(self):
         ring = Ring(parent="ur10::upper_arm")

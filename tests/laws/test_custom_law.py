@@ -119,6 +119,16 @@ class TestCustom(unittest.TestCase):
         ):
             self.make_dut().check("law")
 
+    def test_a_factory_that_ends_the_program(self):
+        def make():
+            sys.exit(3)
+
+        self.module.make = make
+        with self.assertRaisesRegex(
+            UserError, f"^law: {MODULE}:make: SystemExit: 3$"
+        ):
+            self.make_dut().check("law")
+
     def test_factory_that_is_not_there(self):
         for factory, expected in (
             ("", r"law\.factory: '' must be \"package.module:function\""),
