@@ -405,7 +405,10 @@ def run(
         )
         # The first step loads the kernels, or compiles them for half a minute.
         task = bar.add_task(
-            "preparing", total=scenario.task.products, time=0.0, factor=0.0
+            "preparing (compiles in the first run)",
+            total=scenario.task.products,
+            time=0.0,
+            factor=0.0,
         )
         while True:
             progress = run.advance()

@@ -305,6 +305,10 @@ class TestUrArm(unittest.TestCase):
                 {"X_WB": Pose(rpy_deg=[0, 0])},
                 r"robot\.X_WB\.rpy_deg: .* must be three",
             ),
+            (
+                {"X_WB": Pose(translation=[1e300, 0, 0])},
+                r"robot\.X_WB\.translation: .* from -1000 to 1000",
+            ),
             ({"tool": "none.urdf"}, r"robot\.tool: there is no file none"),
         ):
             with self.assertRaisesRegex(UserError, says):
