@@ -42,6 +42,12 @@ from tofssm_drake.perception.self_hits import SelfHitConfig
 from tofssm_drake.perception.separation import SeparationConfig
 from tofssm_drake.tasks.program import PickAndPlace
 
+# Systems that every station has; a person's or sensor's is called by its name.
+_SYSTEMS = (
+    *("scene_graph", "program", "sim_arm", "objects", "positions"),
+    *("geometry_poses", "people", "nobody", "ignored_separation"),
+)
+
 _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 
 
@@ -149,11 +155,24 @@ class Scenario:
             for name, member in getattr(self, group).items():
                 _check_name(name, f"{at}{group}")
                 member.check(f"{at}{group}.{name}")
+        self._check_names(at)
         for field in dc.fields(self):
             value = getattr(self, field.name)
             if hasattr(value, "check"):
                 value.check(f"{at}{field.name}")
         self._check_ticks(at)
+
+    def _check_names(self, at):
+        """Raises UserError unless each name stands for one thing."""
+        taken = dict.fromkeys(_SYSTEMS, "a part of every cell")
+        for group in ("sensors", "people", "obstacles"):
+            for name in getattr(self, group):
+                require(
+                    name not in taken,
+                    f"{at}{group}.{name}: {name!r} is {taken.get(name)} "
+                    "already; use another name",
+                )
+                taken[name] = f"{group}.{name}"
 
     def _check_sensors(self, at):
         """Raises UserError unless the sensors fit together."""

@@ -78,7 +78,9 @@ def require_supported(
         if abs(gap[i]) <= _MOST_GAP:
             continue
         what = (
-            f"float {gap[i]:.3f} m above what is under it"
+            "have nothing under it"
+            if np.isinf(gap[i])
+            else f"float {gap[i]:.3f} m above what is under it"
             if gap[i] > 0.0
             else f"reach {-gap[i]:.3f} m into what is under it"
         )

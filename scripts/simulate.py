@@ -484,13 +484,19 @@ def tell_what_is_left(folder: Path) -> Iterator[None]:
         ) from None
 
 
+def _describe_stops(summary):
+    if summary["startup_s"] >= summary["simulated_s"]:
+        return "it never started"
+    return count_of(summary["stop_events"], "stop")
+
+
 def tell(summary: dict, out: Path) -> None:
     """Prints the outcome and where the report is."""
     end = " until interrupted" if summary["interrupted"] else ""
     print(
         f"{count_of(summary['products_placed'], 'product')} placed in "
         f"{summary['simulated_s']:.1f} s{end}; "
-        f"{count_of(summary['stop_events'], 'stop')}, "
+        f"{_describe_stops(summary)}, "
         f"{count_of(summary['contact_while_moving_events'], 'contact')} "
         "while moving; "
         f"{summary['real_time_factor']:.1f} x real time"

@@ -46,6 +46,30 @@ class TestLoad(unittest.TestCase):
     def load(self, name="Cell", text=""):
         return mut.load_scenario(filename=self.filename, name=name, text=text)
 
+    def test_each_name_stands_for_one_thing(self):
+        for text, says in (
+            (
+                "{obstacles: {visitor: {waypoints: [[1.6, 1.0]]}}}",
+                r"obstacles\.visitor: 'visitor' is people\.visitor already",
+            ),
+            (
+                "{people: {tool: !GeneratedWalk {}}}",
+                r"people\.tool: 'tool' is sensors\.tool already",
+            ),
+            (
+                "{people: {scene_graph: !GeneratedWalk {}}}",
+                r"people\.scene_graph: .* is a part of every cell already",
+            ),
+        ):
+            with self.subTest(text), self.assertRaisesRegex(UserError, says):
+                mut.load_scenario(text=text)
+
+    def test_a_step_too_short_to_go_on(self):
+        with self.assertRaisesRegex(
+            UserError, r"driver\.time_step: must be from 0\.00001"
+        ):
+            mut.load_scenario(text="{driver: {time_step: 1.0e-12}}")
+
     def test_every_scenario_starts_from_the_default(self):
         default = mut.load_scenario()
         self.assertEqual(list(default.sensors), ["base", "elbow", "tool"])

@@ -127,6 +127,12 @@ class TestReport(unittest.TestCase):
         self.assertIn("Nothing stopped or slowed the robot.", text)
         self.assertIn("0 of 10 products were placed", text)
 
+    def test_a_robot_that_never_started(self):
+        summary = calc_summary(make_run(2.0, geometry=False), products=10)
+        summary["startup_s"] = summary["simulated_s"]
+        verdict = dict(mut.make_verdict(summary, products=10))
+        self.assertIn("never started: it was told to stop", verdict["bad"])
+
     def test_real_sensors_tell_nothing_of_contacts(self):
         run = make_run(2.0, geometry=False)
         summary = calc_summary(run, products=10) | {"person_is_known": False}

@@ -38,8 +38,8 @@ class Simulated:
     def check(self, where: str) -> None:
         """Raises UserError with one line if a setting is out of range."""
         require(
-            0 < self.time_step <= 0.008,
-            f"{where}.time_step: must be within (0, 0.008] s, "
+            1e-5 <= self.time_step <= 0.008,
+            f"{where}.time_step: must be from 0.00001 to 0.008 s, "
             f"got {self.time_step:g}",
         )
         require(

@@ -151,6 +151,11 @@ def _judge_task(summary, products):
 
 
 def _describe_slowing(summary, watcher):
+    if summary.get("startup_s", 0.0) >= summary["simulated_s"] > 0.0:
+        return "bad", (
+            "The robot never started: it was told to stop from the beginning "
+            f"to the end, for {summary['simulated_s']:.1f} s."
+        )
     episodes, standstills = summary["slow_episodes"], summary["standstills"]
     if not episodes and summary["reduced_s"] > 0.0:
         return "note", (

@@ -9,7 +9,7 @@ from tofssm_drake.arms.kinematics import ArmKinematics
 from tofssm_drake.arms.limits import ArmLimits
 from tofssm_drake.arms.tool_down import calc_tool_down_joints
 from tofssm_drake.carried_objects import ON_TOOL, CarriableObjects
-from tofssm_drake.errors import require
+from tofssm_drake.errors import UserError, require
 from tofssm_drake.tasks.path import PathBuilder, ProgramPath
 from tofssm_drake.tasks.products import X_TO, make_upright_pose
 
@@ -266,12 +266,15 @@ def _find_targets(config, kinematics, limits, where):
     for i, waypoint in enumerate(config.waypoints):
         at = f"{where}.waypoints[{i}]"
         if waypoint.point:
-            q = calc_tool_down_joints(
-                kinematics,
-                np.array(waypoint.point),
-                np.deg2rad(waypoint.yaw_deg),
-                guess=targets[-1] if targets else None,
-            )
+            try:
+                q = calc_tool_down_joints(
+                    kinematics,
+                    np.array(waypoint.point),
+                    np.deg2rad(waypoint.yaw_deg),
+                    guess=targets[-1] if targets else None,
+                )
+            except UserError as error:
+                raise UserError(f"{at}.point: {error}") from None
         else:
             q = np.array(waypoint.joints, dtype=float)
         require(
