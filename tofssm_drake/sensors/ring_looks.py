@@ -66,7 +66,7 @@ def add_ring_looks(
 
 def _find_sensors(plant, context, frame, ring):
     """Returns the poses of a ring's sensors in the ring's frame."""
-    poses = []
+    poses: list[RigidTransform] = []
     while plant.HasFrameNamed(f"{ring}_ring_{len(poses)}"):
         sensor = plant.GetFrameByName(f"{ring}_ring_{len(poses)}")
         poses.append(sensor.CalcPose(context, frame))
