@@ -4,14 +4,30 @@ import numpy as np
 
 from tofssm_drake.metrics.audit import calc_audit
 from tofssm_drake.metrics.run_metrics import calc_run_metrics
-from tofssm_drake.paper.cells import Cell, make_plan
+import tofssm_drake.paper.cells as cells
+from tofssm_drake.paper.cells import Cell
 from tofssm_drake.recording.samples import Samples
 from tofssm_drake.studies.campaign import Plan
 from tofssm_drake.studies.results import make_row
 
 
+def make_plan(**changes):
+    """Returns a plan of four cells with two trials."""
+    options = {
+        "seed": 0,
+        "trials": 2,
+        "sensings": ["tof", "lidar"],
+        "configurations": ["vo", "sm"],
+        "variants": [],
+        "scenario": {"law": {"C_dC": 0.3}},
+        "motions": {},
+        "versions": {"drake": "1.51.1"},
+    }
+    return cells.make_plan(**(options | changes))
+
+
 def make_small_plan(trials=3, *, variants=(), sensings=None) -> Plan:
-    return make_plan(
+    return cells.make_plan(
         seed=0,
         trials=trials,
         sensings=list(sensings or ("tof", "ideal", "lidar", "tof16")),

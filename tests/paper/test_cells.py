@@ -1,25 +1,11 @@
 import unittest
 
-from synthetic_campaign import make_small_plan
+from synthetic_campaign import make_plan, make_small_plan
 
 from tofssm_drake.errors import UserError
 import tofssm_drake.paper.cells as mut
 from tofssm_drake.studies.campaign import PlannedRun
 from tofssm_drake.studies.trials import make_trial
-
-
-def make_plan(**changes):
-    options = {
-        "seed": 0,
-        "trials": 2,
-        "sensings": ["tof", "lidar"],
-        "configurations": ["vo", "sm"],
-        "variants": [],
-        "scenario": {"law": {"C_dC": 0.3}},
-        "motions": {},
-        "versions": {"drake": "1.51.1"},
-    }
-    return mut.make_plan(**(options | changes))
 
 
 class TestPlan(unittest.TestCase):

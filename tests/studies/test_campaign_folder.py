@@ -7,27 +7,13 @@ import tempfile
 import unittest
 
 import pyarrow.parquet as pq
+from synthetic_campaign import make_plan
 
 from tofssm_drake.errors import UserError
-import tofssm_drake.paper.cells as cells
 from tofssm_drake.recording.columns import UNITS, read_description
 from tofssm_drake.studies.campaign import describe_plan
 import tofssm_drake.studies.campaign_folder as mut
 from tofssm_drake.studies.results import make_results, make_row
-
-
-def make_plan(**changes):
-    options = {
-        "seed": 0,
-        "trials": 2,
-        "sensings": ["tof", "lidar"],
-        "configurations": ["vo", "sm"],
-        "variants": [],
-        "scenario": {"law": {"C_dC": 0.3}},
-        "motions": {},
-        "versions": {"drake": "1.51.1"},
-    }
-    return cells.make_plan(**(options | changes))
 
 
 class TestFolder(unittest.TestCase):

@@ -5,26 +5,11 @@ import tempfile
 import unittest
 
 import pyarrow.parquet as pq
-from synthetic_campaign import make_rows
+from synthetic_campaign import make_plan, make_rows
 
-import tofssm_drake.paper.cells as cells
 from tofssm_drake.paper.results import Results
 from tofssm_drake.studies.campaign_folder import write_results
 import tofssm_drake.studies.results as mut
-
-
-def make_plan(**changes):
-    options = {
-        "seed": 0,
-        "trials": 2,
-        "sensings": ["tof", "lidar"],
-        "configurations": ["vo", "sm"],
-        "variants": [],
-        "scenario": {"law": {"C_dC": 0.3}},
-        "motions": {},
-        "versions": {"drake": "1.51.1"},
-    }
-    return cells.make_plan(**(options | changes))
 
 
 class TestResults(unittest.TestCase):
