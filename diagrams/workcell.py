@@ -2,16 +2,10 @@
 
 from collections.abc import Callable
 import dataclasses as dc
-import math
 
 import numpy as np
 from pydrake.common import RandomGenerator
-from pydrake.geometry import (
-    Meshcat,
-    MeshcatVisualizer,
-    MeshcatVisualizerParams,
-    Role,
-)
+from pydrake.geometry import Meshcat
 from pydrake.systems.framework import Context, Diagram, DiagramBuilder
 
 from tofssm_drake.arms.kinematics import ArmKinematics
@@ -23,13 +17,10 @@ from tofssm_drake.diagrams.scenario import (
     find_links,
 )
 from tofssm_drake.diagrams.sensors import find_link_frames
-from tofssm_drake.diagrams.sensors.rings import find_rings, group_rings
+from tofssm_drake.diagrams.sensors.rings import find_rings
 from tofssm_drake.diagrams.station import Station, make_station
 from tofssm_drake.metrics.ground_truth import TruthModel
 from tofssm_drake.recording.recorder import SampleRecorder
-from tofssm_drake.visualization.recording import FPS, set_scene
-from tofssm_drake.visualization.ring_rays import RingRays
-from tofssm_drake.visualization.state_light import StateLight
 
 
 @dc.dataclass(frozen=True, eq=False, kw_only=True)
@@ -99,7 +90,10 @@ def make_workcell(
     if with_samples:
         recorder = _add_recorder(builder, scenario, station, monitor)
     if meshcat is not None:
-        _add_display(builder, scenario, station, monitor, meshcat)
+        # Only here: what draws takes long to import.
+        from tofssm_drake.diagrams.display import add_display
+
+        add_display(builder, scenario, station, monitor, meshcat)
     for name in ("speed_fraction", "decision", "separation"):
         builder.ExportOutput(monitor.GetOutputPort(name), name)
     for name in ("position_measured", "velocity_measured"):
@@ -164,46 +158,3 @@ def _make_truth(scenario, station):
         kinematics=ArmKinematics.from_plant(station.plant, links=frames),
         link_offsets=np.array(list(offsets.values())),
     )
-
-
-def _add_display(builder, scenario, station, monitor, meshcat):
-    """Shows robot, cell, person, beams and state."""
-    set_scene(meshcat)
-    period = 1.0 / FPS
-    MeshcatVisualizer.AddToBuilder(
-        builder,
-        station.diagram.GetOutputPort("geometry_query"),
-        meshcat,
-        MeshcatVisualizerParams(role=Role.kIllustration, publish_period=period),
-    )
-    light = builder.AddNamedSystem(
-        "state_light",
-        StateLight(meshcat=meshcat, links=find_links(scenario), period=period),
-    )
-    builder.Connect(
-        monitor.GetOutputPort("decision"), light.GetInputPort("decision")
-    )
-    groups = group_rings(find_rings(scenario.sensors))
-    for i, group in enumerate(groups):
-        sensor = group.traits
-        rays = builder.AddNamedSystem(
-            f"ring_rays_{i}" if i else "ring_rays",
-            RingRays(
-                meshcat=meshcat,
-                plant=station.plant,
-                fov=math.radians(sensor.fov_deg),
-                max_range=sensor.cast_range,
-                rings=group.name,
-                sensors_per_ring=group.one.num_sensors,
-                period=period,
-            ),
-        )
-        builder.Connect(
-            station.diagram.GetOutputPort("position_measured"),
-            rays.GetInputPort("position"),
-        )
-        for name in group.name:
-            port = f"masked_scan_{name}"
-            builder.Connect(
-                monitor.GetOutputPort(port), rays.GetInputPort(port)
-            )

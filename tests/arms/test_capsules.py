@@ -6,6 +6,7 @@ from pydrake.math import RigidTransform, RotationMatrix
 from pydrake.systems.framework import DiagramBuilder
 import trimesh
 
+import tofssm_drake.arms.capsule_fit as fit
 import tofssm_drake.arms.capsules as mut
 
 
@@ -70,7 +71,7 @@ class TestFit(unittest.TestCase):
                 ]
             )
         )
-        (found,) = mut.fit_capsules(mesh)
+        (found,) = fit.fit_capsules(mesh)
         self.assertAlmostEqual(found.radius, 0.1, delta=2e-3)
         ends = sorted([found.p.tolist(), found.q.tolist()])
         np.testing.assert_allclose(
@@ -85,8 +86,8 @@ class TestFit(unittest.TestCase):
             trimesh.creation.annulus(0.2, 0.3, 0.1),
             trimesh.Trimesh([[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 2]]),
         ):
-            capsules = mut.fit_capsules(mesh)
-            found = mut.calc_coverage(mesh, capsules)
+            capsules = fit.fit_capsules(mesh)
+            found = fit.calc_coverage(mesh, capsules)
             self.assertEqual(found.share_inside, 1.0)
             self.assertLess(found.farthest_outside, 1e-9)
             surface, _ = trimesh.sample.sample_surface(mesh, 3000, seed=1)
@@ -97,8 +98,8 @@ class TestFit(unittest.TestCase):
 
     def test_bent_shapes_get_more_than_one(self):
         mesh = make_elbow()
-        (one,) = mut.fit_capsules(mesh, most=1)
-        several = mut.fit_capsules(mesh)
+        (one,) = fit.fit_capsules(mesh, most=1)
+        several = fit.fit_capsules(mesh)
         self.assertGreaterEqual(len(several), 2)
         self.assertLessEqual(len(several), 4)
         self.assertLess(sum(c.volume for c in several), 0.3 * one.volume)
@@ -108,7 +109,7 @@ class TestFit(unittest.TestCase):
         short = mut.FittedCapsule(
             p=np.array([0, 0, -1.0]), q=np.array([0, 0, 0.0]), radius=0.2
         )
-        found = mut.calc_coverage(mesh, [short])
+        found = fit.calc_coverage(mesh, [short])
         self.assertAlmostEqual(found.share_inside, 0.5)
         # The corner at (0.1, 0.1, 1) is sqrt(1.02) m from the axis' end.
         self.assertAlmostEqual(found.farthest_outside, np.sqrt(1.02) - 0.2)

@@ -9,16 +9,6 @@ from tofssm_drake.metrics.metrics import find_contacts, find_state_events
 import tofssm_drake.reports.figures as mut
 
 
-class TestSpans(unittest.TestCase):
-    def test_spans(self):
-        t = np.array([0.0, 1, 2, 3, 4])
-        self.assertEqual(
-            mut.find_spans(t, np.array([0, 0, 2, 2, 1])),
-            [(0.0, 2.0, 0), (2.0, 4.0, 2), (4.0, 4.0, 1)],
-        )
-        self.assertEqual(mut.find_spans(t[:0], t[:0]), [])
-
-
 class TestDecidingRing(unittest.TestCase):
     def _find(self, state, measured, critical):
         run = make_run(PERIOD)

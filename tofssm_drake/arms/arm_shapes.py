@@ -5,22 +5,16 @@ collision shapes (role proximity). Here sensors see the ones that the user
 chose, and distances are measured to capsules and spheres: the description's
 own, if it has no others, or capsules fitted around each link's collision
 shapes. A link with only one kind of shapes is seen and measured to by these.
-Drake cannot read STL and COLLADA; such meshes are read by trimesh.
+Drake cannot read STL and COLLADA; such meshes are read by trimesh
+(`arm_surfaces`).
 """
 
 import dataclasses as dc
-import functools
-import io
-import pathlib
 
 import numpy as np
 from pydrake.common import MemoryFile
 from pydrake.geometry import (
-    Box,
     Capsule,
-    Convex,
-    Cylinder,
-    Ellipsoid,
     GeometryInstance,
     IllustrationProperties,
     InMemoryMesh,
@@ -34,17 +28,11 @@ from pydrake.geometry import (
 )
 from pydrake.math import RigidTransform, RotationMatrix
 from pydrake.multibody.plant import MultibodyPlant
-import trimesh
 
 from tofssm_drake.arms.arm_file import ForeignMesh
-from tofssm_drake.arms.capsules import (
-    Coverage,
-    FittedCapsule,
-    calc_coverage,
-    fit_capsules,
-)
+from tofssm_drake.arms.capsules import Coverage, FittedCapsule
 from tofssm_drake.arms.chain import list_arm_bodies
-from tofssm_drake.errors import UserError, require
+from tofssm_drake.errors import require
 
 
 @dc.dataclass(frozen=True, eq=False, kw_only=True)
@@ -109,7 +97,15 @@ def _make_capsules(pieces):
     """Returns shapes, if all have closed-form distances, or capsules around."""
     if all(piece.is_simple() for piece in pieces):
         return pieces
-    return [_make_piece(capsule) for capsule in _fit(pieces)]
+    # Only for these arms: what reads and fits meshes takes long to import.
+    from tofssm_drake.arms.arm_surfaces import fit_shapes
+
+    return [_make_piece(capsule) for capsule in fit_shapes(_place(pieces))]
+
+
+def _place(pieces):
+    """Returns pieces as `arm_surfaces` takes them."""
+    return [(piece.shape, piece.X_BG) for piece in pieces]
 
 
 def calc_arm_coverage(
@@ -128,6 +124,8 @@ def calc_arm_coverage(
     Returns:
         By name of the body; those that keep their own capsules are left out.
     """
+    from tofssm_drake.arms.arm_surfaces import calc_shape_coverage
+
     inspector = scene_graph.model_inspector()
     found = {}
     for body in list_arm_bodies(plant):
@@ -135,8 +133,7 @@ def calc_arm_coverage(
         collision = collision or visual
         if all(piece.is_simple() for piece in collision):
             continue
-        mesh = _make_surface(collision)
-        found[body.name()] = calc_coverage(mesh, _fit(collision))
+        found[body.name()] = calc_shape_coverage(_place(collision))
     return found
 
 
@@ -202,22 +199,11 @@ class _Roles:
             )
 
 
-@functools.lru_cache(maxsize=256)
-def _read_mesh(path: pathlib.Path) -> trimesh.Trimesh:
-    try:
-        mesh = trimesh.load_mesh(path)
-    except (ValueError, OSError) as error:
-        raise UserError(f"{path}: {' '.join(str(error).split())}") from None
-    require(len(mesh.faces) > 0, f"{path}: has no triangle")
-    mesh.merge_vertices()
-    return mesh
-
-
 def _read_foreign(mesh: ForeignMesh) -> _Piece:
     """Returns a mesh that Drake cannot read as one that it can."""
-    surface = _read_mesh(mesh.path).copy()
-    surface.apply_scale(mesh.scale)
-    text = surface.export(file_type="obj")
+    from tofssm_drake.arms.arm_surfaces import convert_to_obj
+
+    text = convert_to_obj(mesh.path, mesh.scale)
     return _Piece(
         shape=Mesh(
             InMemoryMesh(
@@ -227,75 +213,6 @@ def _read_foreign(mesh: ForeignMesh) -> _Piece:
         X_BG=mesh.X_LG,
         is_foreign=True,
     )
-
-
-def _make_surface(pieces):
-    """Returns shapes as one trimesh.Trimesh in the body's frame."""
-    parts = []
-    for piece in pieces:
-        part = _make_trimesh(piece.shape)
-        part.apply_transform(piece.X_BG.GetAsMatrix4())
-        parts.append(part)
-    return trimesh.util.concatenate(parts)
-
-
-def _make_trimesh(shape):
-    """Returns a shape in its own frame; round ones slightly too large."""
-    if isinstance(shape, Box):
-        return trimesh.creation.box(shape.size())
-    if isinstance(shape, Cylinder):
-        # The polygon is around the circle.
-        radius = shape.radius() / np.cos(np.pi / 64)
-        return trimesh.creation.cylinder(radius, shape.length(), sections=64)
-    # The ball's flat faces are at most 0.5 % inside of a sphere.
-    ball = trimesh.creation.icosphere(subdivisions=3, radius=1.01)
-    if isinstance(shape, Ellipsoid):
-        size = np.array([shape.a(), shape.b(), shape.c()])
-        return trimesh.Trimesh(size * ball.vertices, ball.faces)
-    if isinstance(shape, Sphere | Capsule):
-        points = shape.radius() * np.asarray(ball.vertices)
-        if isinstance(shape, Sphere):
-            return trimesh.Trimesh(points, ball.faces)
-        half = np.array([0.0, 0.0, shape.length() / 2])
-        return trimesh.convex.convex_hull(
-            np.vstack([points + half, points - half])
-        )
-    if isinstance(shape, Convex | Mesh):
-        return _load_mesh(shape)
-    raise UserError(
-        f"robot.file: no capsule can be fitted around a shape of type "
-        f"{type(shape).__name__}"
-    )
-
-
-def _load_mesh(shape):
-    source = shape.source()
-    if source.is_path():
-        mesh = _read_mesh(source.path()).copy()
-    else:
-        mesh = trimesh.load_mesh(
-            io.BytesIO(source.in_memory().mesh_file.contents()),
-            file_type=shape.extension().removeprefix("."),
-        )
-    mesh.apply_scale(shape.scale3())
-    return (
-        trimesh.convex.convex_hull(mesh) if isinstance(shape, Convex) else mesh
-    )
-
-
-def _fit(pieces) -> list[FittedCapsule]:
-    """Returns capsules around shapes, in the body's frame."""
-    mesh = _make_surface(pieces)
-    triangles = np.ascontiguousarray(mesh.triangles)
-    return _fit_triangles(triangles.tobytes())
-
-
-@functools.lru_cache(maxsize=256)
-def _fit_triangles(contents: bytes) -> list[FittedCapsule]:
-    """Fits once, however often an arm is put into a plant."""
-    triangles = np.frombuffer(contents).reshape(-1, 3)
-    faces = np.arange(len(triangles)).reshape(-1, 3)
-    return fit_capsules(trimesh.Trimesh(triangles, faces, process=False))
 
 
 def _make_piece(capsule: FittedCapsule) -> _Piece:

@@ -4,7 +4,6 @@ from typing import NamedTuple
 
 import numpy as np
 from pydrake.math import RigidTransform, RotationMatrix
-from pydrake.multibody.inverse_kinematics import InverseKinematics
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import (
     FixedOffsetFrame,
@@ -12,7 +11,6 @@ from pydrake.multibody.tree import (
     RevoluteJoint,
     SpatialInertia,
 )
-from pydrake.solvers import Solve
 
 from tofssm_drake.arms.kinematics import ArmKinematics, calc_link_poses
 from tofssm_drake.errors import UserError
@@ -286,6 +284,10 @@ def _make_transform(X):
 
 def _search(plant, X_WT, start):
     """Returns joints that put the tool about there, or None."""
+    # Only for these arms: the solvers take long to import.
+    from pydrake.multibody.inverse_kinematics import InverseKinematics
+    from pydrake.solvers import Solve
+
     search = InverseKinematics(plant, with_joint_limits=True)
     tool, world = plant.GetFrameByName("tcp"), plant.world_frame()
     p_WT = X_WT[:, 3]

@@ -3,7 +3,6 @@
 import dataclasses as dc
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from tofssm_drake.people.bvh_file import BvhFile
 
@@ -98,6 +97,9 @@ def _calc_rotation(joint, channels, at):
     ]
     if not turned:
         return None
+    # Only for recordings: SciPy takes long to import.
+    from scipy.spatial.transform import Rotation
+
     axes, k = (list(part) for part in zip(*turned, strict=True))
     R = Rotation.from_euler("".join(axes), channels[:, k], degrees=True)
     step = (R[at.low].inv() * R[at.high]).as_rotvec()

@@ -19,6 +19,18 @@ from tofssm_drake.raycast.triangle_tree import make_triangle_tree
 _WELD = 1e-6
 
 
+def check_corners(vertices: np.ndarray, corners: np.ndarray) -> None:
+    """Checks that all vertices are finite and all corners are vertices."""
+    bad = corners[(corners < 0) | (corners >= len(vertices))]
+    if bad.size > 0:
+        raise ValueError(
+            f"the index {bad.flat[0]} is not one of its"
+            f" {len(vertices)} vertices"
+        )
+    if not np.isfinite(vertices[corners]).all():
+        raise ValueError("it has a vertex that is not finite")
+
+
 def orient_faces(
     vertices: np.ndarray, faces: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -8,13 +8,9 @@ than either (see `obj_file`, `gltf_file`).
 
 import dataclasses as dc
 import hashlib
-import io
 from pathlib import Path
 from urllib.parse import unquote
-from xml.etree import ElementTree
 
-from collada import Collada
-from collada.common import DaeBrokenRefError, DaeError, DaeUnsupportedError
 import numpy as np
 from pydrake.geometry import (
     AddRigidHydroelasticProperties,
@@ -25,20 +21,16 @@ from pydrake.geometry import (
     SceneGraph,
 )
 from pydrake.math import RigidTransform
-import trimesh
 
 from tofssm_drake.errors import UserError
 from tofssm_drake.raycast.gltf_file import read_gltf
-from tofssm_drake.raycast.mesh_parts import orient_faces
+from tofssm_drake.raycast.mesh_parts import check_corners, orient_faces
 from tofssm_drake.raycast.obj_file import read_obj, read_obj_vertices
 from tofssm_drake.raycast.triangle_tree import (
     TriangleTree,
     make_triangle_tree,
 )
 from tofssm_drake.raycast.vtk_file import check_vtk
-
-# What a COLLADA file may have besides its surface, such as lost textures.
-_IGNORED = [DaeBrokenRefError, DaeUnsupportedError]
 
 
 @dc.dataclass(frozen=True, eq=False, kw_only=True)
@@ -66,7 +58,7 @@ def make_triangle_mesh(vertices: np.ndarray, faces: np.ndarray):
     faces = np.asarray(faces, dtype=np.int64)
     if len(faces) == 0:
         raise ValueError("it has no triangle")
-    _check_corners(vertices, faces)
+    check_corners(vertices, faces)
     faces, is_solid, welded = orient_faces(vertices, faces)
     surface = make_triangle_tree(vertices, faces)
     solid = surface if is_solid.any() else None
@@ -198,68 +190,22 @@ def _read_gltf(mesh: Mesh):
     return vertices * mesh.scale3(), faces
 
 
+# Only for these files: their readers take long to import.
+
+
 def _read_stl(mesh: Mesh):
-    return _read_with_trimesh(mesh, "stl", unit=1.0)
+    from tofssm_drake.raycast.trimesh_files import read_stl
+
+    vertices, faces = read_stl(_read_source(mesh.source()))
+    return vertices * mesh.scale3(), faces
 
 
 def _read_dae(mesh: Mesh):
     """Reads COLLADA, in its own unit of length. Its axes stay as they are."""
-    contents = _read_source(mesh.source())
-    _check_dae(contents)
-    return _read_with_trimesh(mesh, "dae", unit=_find_dae_unit(contents))
+    from tofssm_drake.raycast.trimesh_files import read_dae
 
-
-def _check_dae(contents: bytes) -> None:
-    """Checks vertices and indices: trimesh drops a broken part silently."""
-    try:
-        document = Collada(io.BytesIO(contents), ignore=_IGNORED)
-    except DaeError as error:
-        raise ValueError(f"it is not as its format demands: {error}") from error
-    for geometry in document.geometries:
-        for primitive in geometry.primitives:
-            if primitive.vertex_index is not None:
-                _check_corners(primitive.vertex, primitive.vertex_index)
-    # pycollada takes 0 for NaN.
-    for mesh in ElementTree.fromstring(contents).iterfind(".//{*}mesh"):
-        inputs = mesh.iterfind("./{*}vertices/{*}input[@semantic='POSITION']")
-        for source in [i.get("source", "").removeprefix("#") for i in inputs]:
-            numbers = mesh.findtext(
-                f"./{{*}}source[@id='{source}']/{{*}}float_array", ""
-            )
-            if not np.isfinite(np.array(numbers.split(), dtype=float)).all():
-                raise ValueError("it has a vertex that is not finite")
-
-
-def _check_corners(vertices: np.ndarray, corners: np.ndarray) -> None:
-    """Checks that all vertices are finite and all corners are vertices."""
-    bad = corners[(corners < 0) | (corners >= len(vertices))]
-    if bad.size > 0:
-        raise ValueError(
-            f"the index {bad.flat[0]} is not one of its"
-            f" {len(vertices)} vertices"
-        )
-    if not np.isfinite(vertices[corners]).all():
-        raise ValueError("it has a vertex that is not finite")
-
-
-def _find_dae_unit(contents: bytes) -> float:
-    """Returns the length of a COLLADA file's unit, m."""
-    unit = ElementTree.fromstring(contents).find("./{*}asset/{*}unit")
-    return 1.0 if unit is None else float(unit.get("meter", 1.0))
-
-
-def _read_with_trimesh(mesh: Mesh, file_type: str, *, unit: float):
-    """Returns vertices, in metres, and triangles, as they are in the file."""
-    contents = io.BytesIO(_read_source(mesh.source()))
-    try:
-        scene = trimesh.load_scene(
-            contents, file_type=file_type, process=False, maintain_order=True
-        )
-        surface = scene.to_mesh()
-    except Exception as error:
-        # A broken file may raise anything.
-        raise ValueError(f"it is not as its format demands: {error}") from error
-    return surface.vertices * (unit * mesh.scale3()), surface.faces
+    vertices, faces, unit = read_dae(_read_source(mesh.source()))
+    return vertices * (unit * mesh.scale3()), faces
 
 
 def _read_vtk(mesh):

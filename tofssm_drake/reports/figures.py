@@ -22,6 +22,7 @@ import numpy as np
 from tofssm_drake.messages import Reading, RobotState
 from tofssm_drake.metrics.metrics import StateEvent, find_contacts
 from tofssm_drake.recording.samples import Samples
+from tofssm_drake.recording.spans import find_spans
 
 BLACK = "#000000"
 ORANGE = "#E69F00"
@@ -102,30 +103,6 @@ def encode_svg(svg: str) -> str:
     """Returns SVG text as a data URI."""
     data = base64.b64encode(svg.encode()).decode()
     return f"data:image/svg+xml;base64,{data}"
-
-
-def find_spans(
-    t: np.ndarray, values: np.ndarray
-) -> list[tuple[float, float, int]]:
-    """Returns where a stepwise signal is constant.
-
-    Args:
-        t: Times, s, (k,).
-        values: Integers, (k,).
-
-    Returns:
-        (start, end, value) of each stretch, in order; the last ends at the
-        last time.
-    """
-    if not len(t):
-        return []
-    change = np.flatnonzero(np.diff(values)) + 1
-    first = np.concatenate(([0], change))
-    last = np.append(change, len(t) - 1)
-    return [
-        (float(t[i]), float(t[j]), int(values[i]))
-        for i, j in zip(first, last, strict=True)
-    ]
 
 
 def find_deciding_ring(samples: Samples) -> np.ndarray:

@@ -12,7 +12,6 @@ What is not in there is marked *assumed*.
 import dataclasses as dc
 
 import numpy as np
-from scipy.special import ndtri
 
 from tofssm_drake.errors import check_range, require
 from tofssm_drake.sensors.range_sensor import FARTHEST, SensorTraits
@@ -115,6 +114,9 @@ class ConeSensor:
         constants: np.ndarray,
     ) -> tuple[np.ndarray, np.ndarray]:
         """See `RangeSensor`: what is nearest in the cone, or no return."""
+        # Only for this sensor: SciPy takes long to import.
+        from scipy.special import ndtri
+
         nearest = ray_distance.min(axis=1)
         is_lost = noise[:, 1] < ndtri(self.dropout)
         is_seen = (nearest <= self.max_range) & ~is_lost

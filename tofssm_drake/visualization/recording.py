@@ -10,7 +10,7 @@ from pydrake.geometry import Meshcat
 
 from tofssm_drake.messages import RobotState
 from tofssm_drake.recording.samples import Samples, write_atomically
-from tofssm_drake.reports.figures import find_spans
+from tofssm_drake.recording.spans import find_spans
 from tofssm_drake.visualization import palette
 
 FPS = 16.0
