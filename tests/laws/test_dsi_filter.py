@@ -352,16 +352,16 @@ class TestDsiFilter(unittest.TestCase):
         self.fix(make_separation(distance=0.6), 2)
         index = self.eval()
         self.update()
-        self.assertEqual(repr(self.eval()), repr(index))
+        self.assertIs(self.eval(), index)
         # The robot state alone matters only for the next sample.
         self.fix(robot_state=1)
         self.update()
-        self.assertEqual(repr(self.eval()), repr(index))
+        self.assertIs(self.eval(), index)
         self.fix(make_separation(sequence=1))
         after = self.eval()
-        self.assertNotEqual(repr(after), repr(index))
+        self.assertIsNot(after, index)
         self.update()
-        self.assertEqual(repr(self.eval()), repr(after))
+        self.assertIs(self.eval(), after)
         np.testing.assert_allclose(after.d_R, 1.165)
 
     def test_changed_sample_is_calculated_again(self):

@@ -318,6 +318,32 @@ class TestTriSsmDecision(unittest.TestCase):
         self.assertEqual((decision.target, decision.link), (0.0, "base"))
         self.assertIn("sample is 0.101 s old", decision.reason)
 
+    def test_same_decision_until_something_is_new(self):
+        dut = mut.TriSsmDecision(name=RINGS)
+        context = dut.CreateDefaultContext()
+        index = make_index(distance=(2.0, 0.9, 2.0))
+
+        def decide(time, index, states):
+            context.SetTime(time)
+            dut.GetInputPort("dsi").FixValue(context, Value(index))
+            dut.GetInputPort("ring_states").FixValue(context, states)
+            return dut.GetOutputPort("decision").Eval(context)
+
+        first = decide(0.0, index, [2.0, 1.0, 2.0])
+        self.assertIs(decide(0.008, index, [2.0, 1.0, 2.0]), first)
+        self.assertEqual(decide(0.016, index, [0.0, 1.0, 2.0]).target, 0.0)
+        again = decide(0.024, index, [2.0, 1.0, 2.0])
+        self.assertEqual((again.target, again.reason), (0.5, first.reason))
+        nearer = make_index(distance=(2.0, 0.8, 2.0))
+        self.assertIn("0.800 m", decide(0.032, nearer, [2.0, 1.0, 2.0]).reason)
+        # The reason tells the age of a sample that is too old.
+        for time in (0.101, 0.109):
+            self.assertIn(
+                f"sample is {time:.3f} s old",
+                decide(time, nearer, [0.0, 0.0, 0.0]).reason,
+            )
+        self.assertIn("0.800 m", decide(0.04, nearer, [2.0, 1.0, 2.0]).reason)
+
     def test_reason_of_a_link_measured_from_farther_away(self):
         """The index is that of 1.12 m: the reason gives the distance."""
         index = dc.replace(

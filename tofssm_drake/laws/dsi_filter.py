@@ -147,6 +147,11 @@ def calc_safety_index(
         The index. `dsi_raw` is NaN if the link has no reading. A NaN distance
         or speed makes the link FAULTED.
     """
+    return _make_index(_calc_rows(constants, state, separation), separation)
+
+
+def _calc_rows(constants, state, separation):
+    """Returns the rows of `_calc_index`, (9, m)."""
     index = np.empty((9, len(separation.sequence)))
     _calc_index(
         constants,
@@ -158,6 +163,11 @@ def calc_safety_index(
         separation.health,
         index,
     )
+    return index
+
+
+def _make_index(index, separation):
+    """Makes the message from the rows, which become read-only."""
     health = index[8].astype(np.uint8)
     for array in (index, health):
         array.setflags(write=False)
@@ -174,6 +184,28 @@ def calc_safety_index(
         health=health,
         problem=separation.problem,
     )
+
+
+class _LastIndex:
+    """Remembers the last index: at most ticks there is no new sample.
+
+    Without one the result stays the same, see `calc_safety_index`.
+    """
+
+    def __init__(self, constants):
+        self._constants = constants
+        self._last: tuple = None, b"", None
+
+    def calc(self, state, separation):
+        """Returns what `calc_safety_index` does."""
+        before, stored, index = self._last
+        if separation is before and state[:-1].tobytes() == stored:
+            return index
+        rows = _calc_rows(self._constants, state, separation)
+        index = _make_index(rows, separation)
+        # The first three rows are the state once this sample is stored.
+        self._last = separation, rows[:3].tobytes(), index
+        return index
 
 
 @njit(cache=True)
@@ -251,7 +283,7 @@ class DsiFilter(LeafSystem):
         config.check("law")
         require_period(period)
         self._name = tuple(name)
-        self._constants = make_link_constants(config, self._name, offset)
+        self._last = _LastIndex(make_link_constants(config, self._name, offset))
 
         self._separation = self.DeclareAbstractInputPort(
             "separation", Value(make_empty_separation(self._name))
@@ -281,11 +313,7 @@ class DsiFilter(LeafSystem):
                 f"was made for {self._name}"
             )
         state = context.get_discrete_state(self._state).value()
-        output.set_value(
-            calc_safety_index(
-                constants=self._constants, state=state, separation=separation
-            )
-        )
+        output.set_value(self._last.calc(state, separation))
 
     def _update(self, context, discrete_state):
         index = self._dsi.Eval(context)

@@ -134,14 +134,17 @@ def explain_states(
         Name of the link, empty if the robot is in the normal state; and the
         line, with the link's distance and threshold if it has one.
     """
-    psi = states.min()
-    if psi == RobotState.NORMAL:
+    psi_of = states.tolist()
+    psi = min(psi_of)
+    if psi == _NORMAL:
         return "", "normal"
-    is_stop = psi == RobotState.STOP
+    is_stop = psi == _STOP
     state = "stop" if is_stop else "reduced"
     threshold = index.dsi_C if is_stop else index.dsi_R
     deciding, greatest = -1, -np.inf
-    for i in np.flatnonzero(states == psi).tolist():
+    for i in range(len(psi_of)):
+        if psi_of[i] != psi:
+            continue
         problem = _find_problem(index, i, now, config, is_stop)
         if problem:
             return index.name[i], f"{state}: {index.name[i]} {problem}"
@@ -163,10 +166,10 @@ def _find_problem(index, i, now, config, is_stop):
         return f"is faulted{problem and ', ' + problem}"
     if not abs(age) <= config.deadline:
         return f"sample is {age:.3f} s old, deadline {config.deadline:.3f} s"
-    if index.health[i] == RingHealth.BLIND and not is_stop:
+    if index.health[i] == _BLIND and not is_stop:
         return "is blind"
     is_near = index.dsi[i] > index.dsi_R[i]
-    if index.health[i] == RingHealth.DEGRADED and not is_near:
+    if index.health[i] == _DEGRADED and not is_near:
         return f"is degraded{problem and ', ' + problem}"
     return ""
 
@@ -188,6 +191,11 @@ def _describe_distance(index, i, C_dC, is_stop):
             measured = "nothing"
         text += f" (filtered; measured {measured})"
     return f"{text} {symbol} {limit:.3f} m"
+
+
+def _is_late(index, now, deadline):
+    """Returns whether a sample is too old: only then a reason has its age."""
+    return any(not abs(now - time) <= deadline for time in index.time.tolist())
 
 
 class TriSsmState(LeafSystem):
@@ -318,6 +326,8 @@ class TriSsmDecision(LeafSystem):
             "dsi", Value(make_empty_safety_index(tuple(name)))
         )
         self._states = self.DeclareVectorInputPort("ring_states", len(name))
+        # What was decided last, and from what: most ticks bring nothing new.
+        self._last: tuple = None, None, None
         self.DeclareAbstractOutputPort(
             "decision",
             alloc=Value(make_empty_decision(tuple(name), SIGNALS)).Clone,
@@ -332,26 +342,29 @@ class TriSsmDecision(LeafSystem):
 
     def _calc_decision(self, context, output):
         index = self._dsi.Eval(context)
-        states = np.array(
-            [
-                psi if psi in self._targets else _STOP
-                for psi in self._states.Eval(context).tolist()
-            ]
-        )
+        psi = self._states.Eval(context).tolist()
+        now = context.get_time()
+        last_index, last_psi, decision = self._last
+        is_late = _is_late(index, now, self._config.deadline)
+        if is_late or index is not last_index or psi != last_psi:
+            decision = self._decide(index, psi, now)
+            self._last = (None,) * 3 if is_late else (index, psi, decision)
+        output.set_value(decision)
+
+    def _decide(self, index, psi, now):
+        states = np.array([x if x in self._targets else _STOP for x in psi])
         link, reason = explain_states(
             states=states,
             index=index,
-            now=context.get_time(),
+            now=now,
             config=self._config,
             offset=self._offset,
         )
-        output.set_value(
-            SpeedDecision(
-                name=index.name,
-                target=self._targets[states.min()],
-                link=link,
-                reason=reason,
-                state=states.astype(np.int8),
-                signal={name: getattr(index, name) for name in SIGNALS},
-            )
+        return SpeedDecision(
+            name=index.name,
+            target=self._targets[states.min()],
+            link=link,
+            reason=reason,
+            state=states.astype(np.int8),
+            signal={name: getattr(index, name) for name in SIGNALS},
         )

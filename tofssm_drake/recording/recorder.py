@@ -289,6 +289,9 @@ class MessageLog(LeafSystem):
     def _record(self, context, time):
         log = self.find_log(context)
         separation = self._separation_port.Eval(context)
+        decision = self._decision_port.Eval(context)
+        if separation is log.separation and decision is log.decision:
+            return
         if separation is not log.separation:
             log.separation = separation
             log.times.append(time)
@@ -296,7 +299,6 @@ class MessageLog(LeafSystem):
             sequence = separation.sequence.tolist()
             log.some_missing = min(sequence) < 0
             self._record_scans(context, log, sequence)
-        decision = self._decision_port.Eval(context)
         if decision is not log.decision:
             log.decision = decision
             self._record_signals(log, decision, time)
