@@ -39,7 +39,7 @@ def convert_to_obj(path: pathlib.Path, scale: np.ndarray) -> str:
     """
     surface = _read_mesh(path).copy()
     surface.apply_scale(scale)
-    return surface.export(file_type="obj")
+    return str(surface.export(file_type="obj"))
 
 
 def fit_shapes(shapes: Sequence[Placed]) -> list[FittedCapsule]:
