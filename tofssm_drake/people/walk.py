@@ -4,6 +4,7 @@ import dataclasses as dc
 import math
 
 import numpy as np
+from scipy.interpolate import PchipInterpolator
 
 from tofssm_drake.errors import require
 from tofssm_drake.people.figure_eight import FigureEight, FigureEightPath
@@ -108,36 +109,12 @@ class GeneratedWalk:
 
 
 def _interpolate_cycle(phase, knots, values):
-    """Interpolates a periodic curve without overshoot.
-
-    Cubic pieces whose slopes at the knots are weighted harmonic means of those
-    beside them, 0 at extremes (PCHIP; Fritsch and Butland 1984). Done here
-    since SciPy's takes longer to import than the rest of the walk to make.
-
-    Args:
-        phase: In [0, 1).
-        knots: Their phases in order, the first 0.
-        values: At the knots.
-    """
+    """Interpolates a periodic curve with phase in [0, 1), without overshoot."""
     knots = np.asarray(knots, float)
-    x = np.concatenate([knots[-1:] - 1.0, knots, knots[:2] + 1.0])
-    y = np.concatenate([values[-1:], values, values[:2]])
-    step = np.diff(x)
-    slope = np.diff(y) / step
-    before, after = 2 * step[1:] + step[:-1], step[1:] + 2 * step[:-1]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        weighted = before / slope[:-1] + after / slope[1:]
-        tangent = 1.0 / (weighted / (before + after))
-    tangent[~(np.sign(slope[:-1]) * np.sign(slope[1:]) > 0.0)] = 0.0
-    # Of the piece from each knot.
-    i = np.searchsorted(knots, phase, side="right") - 1
-    first, last = tangent[:-1], tangent[1:]
-    step, slope, y = step[1:-1], slope[1:-1], y[1:-2]
-    bend = (first + last - 2 * slope) / step
-    square = (slope - first) / step - bend
-    cube = bend / step
-    s = phase - knots[i]
-    return y[i] + first[i] * s + square[i] * (s * s) + cube[i] * (s * s * s)
+    curve = PchipInterpolator(
+        np.concatenate([knots - 1.0, knots, knots + 1.0]), np.tile(values, 3)
+    )
+    return curve(phase)
 
 
 def solve_knee(
