@@ -1,6 +1,7 @@
 """TriSSM state: normal, reduced or stop (the 2019 paper, II-A)."""
 
 import dataclasses as dc
+import math
 
 import numpy as np
 from pydrake.common.value import Value
@@ -134,21 +135,23 @@ def explain_states(
         Name of the link, empty if the robot is in the normal state; and the
         line, with the link's distance and threshold if it has one.
     """
-    psi_of = states.tolist()
-    psi = min(psi_of)
+    # Plain numbers throughout: this runs in each tick of a real robot.
+    each = states.tolist()
+    psi = min(each)
     if psi == _NORMAL:
         return "", "normal"
     is_stop = psi == _STOP
     state = "stop" if is_stop else "reduced"
-    threshold = index.dsi_C if is_stop else index.dsi_R
-    deciding, greatest = -1, -np.inf
-    for i in range(len(psi_of)):
-        if psi_of[i] != psi:
+    threshold = (index.dsi_C if is_stop else index.dsi_R).tolist()
+    dsi = index.dsi.tolist()
+    deciding, greatest = -1, -math.inf
+    for i, name in enumerate(index.name):
+        if each[i] != psi:
             continue
         problem = _find_problem(index, i, now, config, is_stop)
         if problem:
-            return index.name[i], f"{state}: {index.name[i]} {problem}"
-        ratio = index.dsi[i] / threshold[i]
+            return name, f"{state}: {name} {problem}"
+        ratio = dsi[i] / threshold[i] if threshold[i] else math.inf
         if not ratio <= greatest:
             deciding, greatest = i, ratio
     more = 0.0 if offset is None else float(offset[deciding])
@@ -158,35 +161,34 @@ def explain_states(
 
 def _find_problem(index, i, now, config, is_stop):
     """Returns why a link counts without its distance; empty: it does not."""
-    age = now - index.time[i]
     if index.sequence[i] < 0:
         return "has no sample yet"
+    health = int(index.health[i])
     problem = index.problem[i] if index.problem else ""
-    if index.health[i] not in _WORKING:
+    if health not in _WORKING:
         return f"is faulted{problem and ', ' + problem}"
+    age = now - float(index.time[i])
     if not abs(age) <= config.deadline:
         return f"sample is {age:.3f} s old, deadline {config.deadline:.3f} s"
-    if index.health[i] == _BLIND and not is_stop:
+    if health == _BLIND and not is_stop:
         return "is blind"
-    is_near = index.dsi[i] > index.dsi_R[i]
-    if index.health[i] == _DEGRADED and not is_near:
+    if health == _DEGRADED and not index.dsi[i] > index.dsi_R[i]:
         return f"is degraded{problem and ', ' + problem}"
     return ""
 
 
 def _describe_distance(index, i, C_dC, is_stop):
     """Returns a link with its distance and the threshold it is under."""
-    distance = C_dC / np.sqrt(index.dsi[i])
+    dsi, dsi_raw = float(index.dsi[i]), float(index.dsi_raw[i])
     symbol, limit = (
         ("<= d_C", index.d_C[i]) if is_stop else ("< d_R", index.d_R[i])
     )
-    text = f"{index.name[i]} at {distance:.3f} m"
-    dsi_raw = index.dsi_raw[i]
-    if dsi_raw != index.dsi[i]:
+    text = f"{index.name[i]} at {_find_distance(C_dC, dsi):.3f} m"
+    if dsi_raw != dsi:
         if dsi_raw == 0.0:
             measured = "clear"
         elif dsi_raw > 0.0:
-            measured = f"{C_dC / np.sqrt(dsi_raw):.3f} m"
+            measured = f"{_find_distance(C_dC, dsi_raw):.3f} m"
         else:
             measured = "nothing"
         text += f" (filtered; measured {measured})"
@@ -196,6 +198,11 @@ def _describe_distance(index, i, C_dC, is_stop):
 def _is_late(index, now, deadline):
     """Returns whether a sample is too old: only then a reason has its age."""
     return any(not abs(now - time) <= deadline for time in index.time.tolist())
+
+
+def _find_distance(C_dC, dsi):
+    """Returns the distance that gives an index, m."""
+    return C_dC / math.sqrt(dsi) if dsi else math.inf
 
 
 class TriSsmState(LeafSystem):
@@ -352,7 +359,8 @@ class TriSsmDecision(LeafSystem):
         output.set_value(decision)
 
     def _decide(self, index, psi, now):
-        states = np.array([x if x in self._targets else _STOP for x in psi])
+        psi = [x if x in self._targets else _STOP for x in psi]
+        states = np.array(psi)
         link, reason = explain_states(
             states=states,
             index=index,
@@ -362,7 +370,7 @@ class TriSsmDecision(LeafSystem):
         )
         return SpeedDecision(
             name=index.name,
-            target=self._targets[states.min()],
+            target=self._targets[min(psi)],
             link=link,
             reason=reason,
             state=states.astype(np.int8),

@@ -10,8 +10,10 @@ push the arm, and a protective stop may let it sag. The robot's own limiter
 is not published.
 """
 
+import bisect
 import dataclasses as dc
 import math
+import operator
 
 import numpy as np
 
@@ -122,21 +124,27 @@ def step_arm(
         The next state; `problem` says whether the arm obeys.
     """
     now = report.timestamp
-    speeds = np.abs(report.velocity)
-    fastest = np.asarray(joint_speeds)
-    allowed = allowed if is_judged else math.inf
-    history = _remember(state.allowed, now, allowed, config.rest_time)
-    fraction, limits = _calc_limits(config, history, now, lowest, fastest)
-    # A NaN speed counts as not at rest and as too fast.
-    is_at_rest = bool((speeds <= config.rest_speed + lowest * fastest).all())
-    is_wrong = is_judged and not bool((speeds <= limits).all())
+    # Plain numbers: faster than arrays of six.
+    speeds = [abs(v) for v in report.velocity.tolist()]
+    history = _remember(
+        state.allowed, now, allowed if is_judged else math.inf, config.rest_time
+    )
+    rest = [config.rest_speed + lowest * speed for speed in joint_speeds]
+    fraction = _find_fraction(history, now, config.ramp_time)
+    factor = fraction + config.speed_margin
+    limits = [factor * speed for speed in joint_speeds]
+    # The first is the greatest.
+    if history[0][1] <= lowest + _ZERO:
+        limits = list(map(min, limits, rest))
+    is_at_rest = _are_within(speeds, rest)
+    is_wrong = is_judged and not _are_within(speeds, limits)
     resting_since = _keep(state.resting_since, now) if is_at_rest else math.nan
     wrong_since = _keep(state.wrong_since, now) if is_wrong else math.nan
     problem = state.problem
     if problem and now - resting_since >= config.rest_time:
         problem = ""
     if not problem and now - wrong_since >= config.confirm_time:
-        problem = _describe(speeds, limits, fraction * fastest)
+        problem = _describe(speeds, limits, fraction, joint_speeds)
     return ArmState(
         allowed=history,
         wrong_since=wrong_since,
@@ -152,30 +160,41 @@ def _keep(since, now):
 
 def _remember(history, now, allowed, duration):
     """Returns what the slider allowed recently, the newest last."""
-    kept = [h for h in history if now - h[0] <= duration]
+    first, end = _find_recent(history, now, duration), len(history)
     # An older, lower fraction is not the greatest of any period.
-    while kept and kept[-1][1] <= allowed:
-        kept.pop()
-    return (*kept, (now, allowed))
+    while end > first and history[end - 1][1] <= allowed:
+        end -= 1
+    return (*history[first:end], (now, allowed))
 
 
-def _calc_limits(config, history, now, lowest, fastest):
-    """Returns the fraction in force and each joint's limit, rad/s, (6,)."""
-    fraction = next(
-        (f for t, f in history if now - t <= config.ramp_time), history[-1][1]
+def _find_fraction(history, now, duration):
+    """Returns the greatest fraction of the last seconds."""
+    # The last is of now, whatever the clock shows.
+    first = min(_find_recent(history, now, duration), len(history) - 1)
+    return history[first][1]
+
+
+def _find_recent(history, now, duration):
+    """Returns the index of the first entry of the last seconds."""
+    return bisect.bisect_left(
+        history, True, key=lambda entry: now - entry[0] <= duration
     )
-    limits = fastest * (fraction + config.speed_margin)
-    # The first is the greatest.
-    if history[0][1] <= lowest + _ZERO:
-        limits = np.minimum(limits, config.rest_speed + lowest * fastest)
-    return fraction, limits
 
 
-def _describe(speeds, limits, allowed):
+def _are_within(speeds, limits):
+    """Returns whether no joint is faster than its limit; NaN is faster."""
+    return all(map(operator.le, speeds, limits))
+
+
+def _describe(speeds, limits, fraction, joint_speeds):
     """Returns which joint is too fast, in one line."""
     # The first NaN, else the one that exceeds its limit most.
-    j = int(np.argmax(np.where(np.isnan(speeds), np.inf, speeds - limits)))
+    j = int(
+        np.argmax(
+            np.where(np.isnan(speeds), np.inf, np.subtract(speeds, limits))
+        )
+    )
     return (
         f"arm does not slow: joint {j + 1} at {speeds[j]:.2f} rad/s, the "
-        f"slider allows {allowed[j]:.2f}"
+        f"slider allows {fraction * joint_speeds[j]:.2f}"
     )

@@ -7,6 +7,7 @@ with what the echo allows (`arm_obedience.py`). One pure function,
 `step_slider`, does this for each report.
 """
 
+import bisect
 import dataclasses as dc
 import enum
 import math
@@ -339,17 +340,23 @@ def _begin_session(config, state, echo):
 def _compare_echo(config, state, now):
     """Compares the echo with what was written."""
     echo = now.echo
-    replaced = tuple(
-        p for p in state.replaced if now.report.timestamp - p[2] <= _LATE
+    # The oldest come first.
+    first = bisect.bisect_left(
+        state.replaced,
+        True,
+        key=lambda p: now.report.timestamp - p[2] <= _LATE,
     )
+    replaced = state.replaced[first:]
     recent = [
-        f for f, n, _ in replaced if now.count - n <= config.confirm_cycles
+        f
+        for f, n, _ in replaced[-config.confirm_cycles :]
+        if now.count - n <= config.confirm_cycles
     ]
     # Comparisons with NaN are false.
     astray = not math.isnan(state.fraction) and not _is_within(
         echo, (state.fraction, *recent), config.tolerance
     )
-    late = (state.fraction, *(f for f, *_ in replaced))
+    late = (state.fraction, *(f for f, *_ in replaced)) if astray else ()
     return _Seen(
         replaced=replaced,
         obeys=abs(echo - state.fraction) <= config.tolerance,
@@ -537,7 +544,7 @@ def _calc_ceiling(config, state, now, *, is_down):
 def _is_standing(config, report):
     """Returns whether no joint is faster than the lowest fraction allows."""
     limit = _STANDING + config.minimum_fraction * _FASTEST
-    return bool((abs(report.velocity) <= limit).all())
+    return all(abs(v) <= limit for v in report.velocity.tolist())
 
 
 def _is_within(value, values, tolerance):
