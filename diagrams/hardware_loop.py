@@ -1,6 +1,7 @@
 """Runs the monitor on a real robot's reports, one tick per report."""
 
 import dataclasses as dc
+import functools
 import math
 import time
 
@@ -167,11 +168,9 @@ class HardwareLoop:
             meshcat=meshcat,
             with_samples=with_samples,
         )
-        station = self._station.diagram
-        self._publisher = station.GetSubsystemByName("robot_publisher")
-        self._slider = station.GetSubsystemByName("slider_control")
-        self._problem = station.GetSubsystemByName("sensing_problem")
-        self._monitor = self._workcell.diagram.GetSubsystemByName("monitor")
+        self._publisher = self._station.diagram.GetSubsystemByName(
+            "robot_publisher"
+        )
         self._board = None
         self._sent = math.nan
         self._has_begun = False
@@ -215,9 +214,7 @@ class HardwareLoop:
         self._simulator.AdvanceTo(given.time)
         # Events at exactly that time would otherwise wait for the next tick.
         self._simulator.AdvancePendingEvents()
-        self._publisher.ForcedPublish(
-            self._publisher.GetMyContextFromRoot(self._context)
-        )
+        self._publisher.ForcedPublish(self._publisher_context)
         result = self._read(given)
         if self._board is not None:
             self._board.show(describe_links(result, deadline=self._deadline))
@@ -229,25 +226,41 @@ class HardwareLoop:
             self._workcell.diagram, self._workcell.make_context(random_seed)
         )
         self._context = self._simulator.get_context()
+        self._publisher_context = self._publisher.GetMyContextFromRoot(
+            self._context
+        )
+        self._ask = self._find_outputs()
         self._has_begun = False
 
-    def _ask(self, system, name):
-        """Returns an output's value after the tick."""
-        return system.GetOutputPort(name).Eval(
-            system.GetMyContextFromRoot(self._context)
-        )
+    def _find_outputs(self):
+        """Returns what evaluates each output that a result has, by name."""
+        station = self._station.diagram
+        monitor = self._workcell.diagram.GetSubsystemByName("monitor")
+        return {
+            name: functools.partial(
+                system.GetOutputPort(name).Eval,
+                system.GetMyContextFromRoot(self._context),
+            )
+            for system, names in (
+                (monitor, ("decision", "speed_fraction", "separation")),
+                (station.GetSubsystemByName("sensing_problem"), ("problem",)),
+                (station.GetSubsystemByName("slider_control"), ("slider",)),
+                (station, ("products_placed", "task_done")),
+            )
+            for name in names
+        }
 
     def _read(self, given):
-        station, monitor = self._station.diagram, self._monitor
+        ask = self._ask
         return TickResult(
             time=given.time,
-            decision=self._ask(monitor, "decision"),
-            problem=self._ask(self._problem, "problem"),
-            speed_fraction=float(self._ask(monitor, "speed_fraction")[0]),
-            slider=self._ask(self._slider, "slider"),
-            separation=self._ask(monitor, "separation"),
-            products_placed=int(self._ask(station, "products_placed")[0]),
-            task_done=self._ask(station, "task_done")[0] > 0.5,
+            decision=ask["decision"](),
+            problem=ask["problem"](),
+            speed_fraction=float(ask["speed_fraction"]()[0]),
+            slider=ask["slider"](),
+            separation=ask["separation"](),
+            products_placed=int(ask["products_placed"]()[0]),
+            task_done=ask["task_done"]()[0] > 0.5,
             sent=self._sent,
         )
 

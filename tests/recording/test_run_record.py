@@ -64,6 +64,17 @@ def make_scan(k):
     )
 
 
+class TestJson(unittest.TestCase):
+    def test_numbers_that_are_none_are_replaced_outside_strings(self):
+        for text in ("NaN", '"NaN,', "\\", '\\"Infinity\\', 'a "b" NaN\n'):
+            with self.subTest(text=text):
+                values = {text: [text, np.nan, np.inf, -np.inf, 1.5]}
+                self.assertEqual(
+                    json.loads(mut.encode_json(values)),
+                    {text: [text, None, np.inf, -np.inf, 1.5]},
+                )
+
+
 class TestRunRecord(unittest.TestCase):
     def setUp(self):
         folder = tempfile.TemporaryDirectory()
