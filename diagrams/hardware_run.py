@@ -30,6 +30,8 @@ from tofssm_drake.errors import UserError, require
 from tofssm_drake.messages import RobotReport, SliderCommand
 from tofssm_drake.recording.run_record import RecordedTick, RunRecorder
 from tofssm_drake.ringlink.ring_link import RingConnection, explain_silence
+from tofssm_drake.robots.robot_connection import RobotConnection
+from tofssm_drake.robots.robot_modes import SafetyMode, name_of
 from tofssm_drake.rtde.model_match import (
     ModelConfig,
     ModelMatch,
@@ -38,8 +40,6 @@ from tofssm_drake.rtde.model_match import (
 )
 from tofssm_drake.rtde.robot_checks import RobotChecks
 from tofssm_drake.rtde.robot_clock import RobotClock
-from tofssm_drake.rtde.robot_connection import RobotConnection
-from tofssm_drake.rtde.rtde_fields import SafetyMode, name_of
 
 # One wait for a report, s; then signals are checked.
 _WAIT = 0.05

@@ -13,7 +13,7 @@ from tofssm_drake.ringlink.ring_link import (
     calc_measured_time,
 )
 from tofssm_drake.ringlink.ring_systems import shift_scan
-from tofssm_drake.rtde.robot_connection import RtdeStatus
+from tofssm_drake.robots.robot_connection import RobotStatus
 
 
 class HeldRobot:
@@ -41,9 +41,9 @@ class HeldRobot:
         """Hands a command on; returns whether it was handed over."""
         return self._send is not None and self._send(command)
 
-    def get_status(self) -> RtdeStatus:
+    def get_status(self) -> RobotStatus:
         """Returns that it is connected once it has a report."""
-        return RtdeStatus(connected=self.report.sequence >= 0, problem="")
+        return RobotStatus(connected=self.report.sequence >= 0, problem="")
 
     def close(self) -> None:
         """Does nothing."""

@@ -33,9 +33,9 @@ from tofssm_drake.recording.run_record import RunRecorder
 from tofssm_drake.reports.report import count_of
 from tofssm_drake.ringlink.ring_address import SerialAddress, UdpAddress
 from tofssm_drake.ringlink.ring_link import RingLink
+from tofssm_drake.robots.robot_connection import RobotStatus
 from tofssm_drake.rtde.model_match import describe_tool
 from tofssm_drake.rtde.robot_checks import RobotChecks
-from tofssm_drake.rtde.robot_connection import RtdeStatus
 from tofssm_drake.rtde.rtde_client import RtdeClient
 from tofssm_drake.rtde.rtde_config import RtdeConfig
 from tofssm_drake.rtde.slider import SliderConfig, find_operator_limit
@@ -343,7 +343,7 @@ def _ending(status, robot):
         robot.close()
 
 
-def describe_robot(status: RtdeStatus, control_period: float) -> str:
+def describe_robot(status: RobotStatus, control_period: float) -> str:
     """Returns the line about the robot that answered, and the tick.
 
     Args:

@@ -17,7 +17,7 @@ from typing import TextIO
 from tofssm_drake.diagrams.hardware_loop import TickResult
 from tofssm_drake.messages import RobotReport, RobotState
 from tofssm_drake.ringlink.ring_link import RingConnection, RingLinkStatus
-from tofssm_drake.rtde.robot_connection import RobotConnection
+from tofssm_drake.robots.robot_connection import RobotConnection
 
 # Between two updates, s.
 _PERIOD = 0.2

@@ -11,7 +11,10 @@ from lockstep import CYCLE, Cell
 
 from tofssm_drake.errors import UserError
 from tofssm_drake.messages import RobotState
-from tofssm_drake.rtde.rtde_fields import RuntimeState, SafetyMode
+from tofssm_drake.robots.robot_modes import (
+    RuntimeState,
+    SafetyMode,
+)
 from tofssm_drake.rtde.slider import SliderPhase
 
 

@@ -23,7 +23,7 @@ from tofssm_drake.messages import (
     RobotReport,
     make_empty_separation,
 )
-from tofssm_drake.rtde.rtde_fields import (
+from tofssm_drake.robots.robot_modes import (
     RobotMode,
     RuntimeState,
     SafetyMode,

@@ -11,7 +11,7 @@ from tofssm_drake.arms.cell_plant import make_cell_plant
 from tofssm_drake.diagrams import hardware_run as mut
 from tofssm_drake.errors import UserError
 from tofssm_drake.messages import RobotReport
-from tofssm_drake.rtde.robot_connection import LoopbackConnection
+from tofssm_drake.robots.robot_connection import LoopbackConnection
 
 
 class Scheduler:

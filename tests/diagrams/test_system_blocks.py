@@ -44,7 +44,7 @@ from tofssm_drake.ringlink.ring_systems import (
     RingInterfaceSystem,
     RingSubscriberSystem,
 )
-from tofssm_drake.rtde.robot_connection import NullConnection
+from tofssm_drake.robots.robot_connection import NullConnection
 import tofssm_drake.rtde.rtde_systems as rtde_systems
 from tofssm_drake.sensors.lidar_2d import (
     Lidar2d,

@@ -17,9 +17,9 @@ import time
 from robot_process import find_free_host
 
 from tofssm_drake.messages import RobotReport
+from tofssm_drake.robots.robot_modes import RuntimeState
 from tofssm_drake.rtde.rtde_client import RtdeClient
 from tofssm_drake.rtde.rtde_config import RtdeConfig
-from tofssm_drake.rtde.rtde_fields import RuntimeState
 
 NOBODY = "{people: {visitor: null}}"
 _MAIN = ("-m", "tofssm_drake.scripts.main")

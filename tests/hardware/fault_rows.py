@@ -24,7 +24,7 @@ from tofssm_drake.ringlink.ring_frame import (
     SEQUENCE_BITS,
     TIME_BITS,
 )
-from tofssm_drake.rtde.rtde_fields import SafetyMode
+from tofssm_drake.robots.robot_modes import SafetyMode
 from tofssm_drake.sensors import ring_mount
 from tofssm_drake.sensors.range_status import STATUS_VALID
 

@@ -33,7 +33,7 @@ from tofssm_drake.ringlink.ring_fault_injection import (
 )
 from tofssm_drake.ringlink.ring_frame import encode_frame
 from tofssm_drake.ringlink.ring_link import LoopbackRingLink
-from tofssm_drake.rtde.robot_connection import RtdeStatus
+from tofssm_drake.robots.robot_connection import RobotStatus
 from tofssm_drake.rtde.rtde_protocol import Recipe, RtdeError
 from tofssm_drake.rtde.rtde_report import ReportMaker, list_outputs
 from tofssm_drake.rtde.simulated_ur import SimulatedUr
@@ -194,7 +194,7 @@ class Cell:
         return True
 
     def get_status(self):
-        return RtdeStatus(connected=not self.is_silent, problem="")
+        return RobotStatus(connected=not self.is_silent, problem="")
 
     def close(self):
         """Writes 0, as a client does, and stops the heartbeat."""

@@ -4,7 +4,10 @@ import contextlib
 import socket
 import threading
 
-from tofssm_drake.rtde.rtde_fields import INPUT_TYPES, OUTPUT_TYPES
+from tofssm_drake.rtde.rtde_fields import (
+    INPUT_TYPES,
+    OUTPUT_TYPES,
+)
 import tofssm_drake.rtde.rtde_protocol as rtde
 from tofssm_drake.rtde.rtde_protocol import PackageType
 

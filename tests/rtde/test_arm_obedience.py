@@ -11,8 +11,8 @@ from robot_room import make_robot
 
 from tofssm_drake.errors import UserError
 from tofssm_drake.messages import RobotReport
+from tofssm_drake.robots.robot_modes import RuntimeState
 import tofssm_drake.rtde.arm_obedience as mut
-from tofssm_drake.rtde.rtde_fields import RuntimeState
 from tofssm_drake.rtde.slider import (
     SliderConfig,
     SliderPhase,

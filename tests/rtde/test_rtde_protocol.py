@@ -7,7 +7,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 import numpy as np
 
-from tofssm_drake.rtde.rtde_fields import INPUT_TYPES, OUTPUT_TYPES
+from tofssm_drake.rtde.rtde_fields import (
+    INPUT_TYPES,
+    OUTPUT_TYPES,
+)
 import tofssm_drake.rtde.rtde_protocol as mut
 from tofssm_drake.rtde.rtde_protocol import PackageType, RtdeError
 

@@ -13,13 +13,13 @@ from robot_room import make_path, make_robot, serve
 from tofssm_drake.carried_objects import ON_TOOL
 from tofssm_drake.errors import UserError
 from tofssm_drake.messages import RobotReport, SliderCommand
-from tofssm_drake.rtde.robot_connection import (
+from tofssm_drake.robots.robot_connection import (
     LoopbackConnection,
     NullConnection,
 )
+from tofssm_drake.robots.robot_modes import RuntimeState
 from tofssm_drake.rtde.rtde_client import RtdeClient
 from tofssm_drake.rtde.rtde_config import RtdeConfig
-from tofssm_drake.rtde.rtde_fields import RuntimeState
 import tofssm_drake.rtde.rtde_systems as mut
 from tofssm_drake.rtde.slider import SliderPhase
 

@@ -6,12 +6,12 @@ from robot_room import make_kinematics, make_robot
 from scipy.spatial.transform import Rotation
 
 from tofssm_drake.errors import UserError
-from tofssm_drake.rtde.model_match import make_pose
-from tofssm_drake.rtde.rtde_fields import (
-    OUTPUT_TYPES,
+from tofssm_drake.robots.robot_modes import (
     RuntimeState,
     SafetyMode,
 )
+from tofssm_drake.rtde.model_match import make_pose
+from tofssm_drake.rtde.rtde_fields import OUTPUT_TYPES
 from tofssm_drake.rtde.rtde_protocol import Recipe
 import tofssm_drake.rtde.simulated_ur as mut
 from tofssm_drake.tasks.program import PickAndPlace

@@ -11,9 +11,9 @@ import unittest
 
 from robot_process import find_free_host, start, start_robot
 
+from tofssm_drake.robots.robot_modes import RuntimeState
 from tofssm_drake.rtde.rtde_client import RtdeClient
 from tofssm_drake.rtde.rtde_config import RtdeConfig
-from tofssm_drake.rtde.rtde_fields import RuntimeState
 from tofssm_drake.scripts.main import run
 
 _HERE = Path(__file__).parent

@@ -10,8 +10,8 @@ import numpy as np
 from robot_process import find_free_host, start_robot
 from robot_room import make_kinematics
 
+from tofssm_drake.robots.robot_modes import RuntimeState
 from tofssm_drake.rtde.model_match import make_pose
-from tofssm_drake.rtde.rtde_fields import RuntimeState
 from tofssm_drake.rtde.simulated_ur import (
     calc_tcp_offset,
     calc_tool_motion,

@@ -30,10 +30,10 @@ from tofssm_drake.laws import sensing_problem, tri_ssm
 from tofssm_drake.messages import RobotReport
 from tofssm_drake.recording.run_record import RunReader
 from tofssm_drake.ringlink.ring_link import RingLink
+from tofssm_drake.robots.robot_modes import SafetyMode
 from tofssm_drake.rtde import rtde_systems
 from tofssm_drake.rtde.model_match import make_pose
 from tofssm_drake.rtde.rtde_client import RtdeClient
-from tofssm_drake.rtde.rtde_fields import SafetyMode
 from tofssm_drake.rtde.rtde_protocol import PackageType
 from tofssm_drake.rtde.simulated_ur import (
     calc_tcp_offset,

@@ -18,10 +18,10 @@ from mcap.reader import make_reader
 
 from tofssm_drake.messages import RobotState
 from tofssm_drake.recording.run_record import RunReader
+from tofssm_drake.robots.robot_modes import RuntimeState
 from tofssm_drake.rtde.rtde_fields import (
     ECHOED_TYPES,
     OUTPUT_TYPES,
-    RuntimeState,
 )
 from tofssm_drake.rtde.rtde_protocol import PackageType, Recipe
 from tofssm_drake.rtde.rtde_report import list_outputs

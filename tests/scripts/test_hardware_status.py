@@ -12,7 +12,7 @@ from tofssm_drake.messages import RobotReport, RobotState
 from tofssm_drake.ringlink.ring_budget import LinkFigures
 from tofssm_drake.ringlink.ring_link import RingLinkStatus
 from tofssm_drake.ringlink.ring_receiver import RingCounts
-from tofssm_drake.rtde.robot_connection import LoopbackConnection
+from tofssm_drake.robots.robot_connection import LoopbackConnection
 from tofssm_drake.rtde.slider import SliderPhase, SliderState
 import tofssm_drake.scripts.hardware_status as mut
 

@@ -9,7 +9,7 @@ import unittest
 from unittest import mock
 
 from tofssm_drake.messages import RobotReport
-from tofssm_drake.rtde.robot_connection import RtdeStatus
+from tofssm_drake.robots.robot_connection import RobotStatus
 from tofssm_drake.rtde.rtde_client import RtdeClient
 from tofssm_drake.rtde.simulated_ur import SimulatedUr
 from tofssm_drake.scripts import simulated_rings
@@ -27,7 +27,7 @@ class TestMessages(unittest.TestCase):
         err = io.StringIO()
         with (
             mock.patch.object(
-                RtdeClient, "get_status", lambda _: RtdeStatus(problem=problem)
+                RtdeClient, "get_status", lambda _: RobotStatus(problem=problem)
             ),
             mock.patch.object(RtdeClient, "wait_for_report", stop),
             contextlib.redirect_stdout(io.StringIO()),

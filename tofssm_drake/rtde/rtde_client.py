@@ -1,39 +1,23 @@
-"""RTDE client: a thread that reads whole packages and keeps the newest.
-
-Reading and callers never wait for each other: the thread makes one frozen
-`RobotReport` per package, with its time of arrival, and replaces the previous
-one. When the robot falls silent or hangs up, the thread reconnects with the
-full handshake, at growing intervals, until it is closed. The thread raises
-nothing: `get_status` says what is wrong.
-"""
+"""RTDE client: reads whole packages and writes slider and heartbeat."""
 
 from collections.abc import Callable
 import contextlib
 import dataclasses as dc
+import functools
 import math
 import socket
-import threading
 import time
 
-from tofssm_drake.messages import RobotReport, SliderCommand
-from tofssm_drake.rtde.robot_connection import RtdeStatus
+from tofssm_drake.robots.robot_client import LinkLostError, RobotClient
 from tofssm_drake.rtde.rtde_config import RtdeConfig
-from tofssm_drake.rtde.rtde_link import (
-    FAREWELL,
-    LinkEvent,
-    LinkLostError,
-    RtdeLink,
-)
-from tofssm_drake.rtde.rtde_protocol import Recipe, RtdeError
+from tofssm_drake.rtde.rtde_link import LinkEvent, RtdeLink
+from tofssm_drake.rtde.rtde_protocol import RtdeError
 
 # Bytes that may wait for the robot to read them.
 _SEND_BUFFER = 4096
-# How long closing waits for a robot whose connection was just lost, in order
-# to stop it, s.
-_RETURN = 0.5
 
 
-class RtdeClient:
+class RtdeClient(RobotClient):
     """Talks to a robot's controller until it is closed.
 
     A context manager: `with RtdeClient(config) as client`. It starts to
@@ -59,155 +43,34 @@ class RtdeClient:
         config.check("robot")
         self._config = dc.replace(config)
         self._tap = tap
-        self._condition = threading.Condition()
-        self._report = RobotReport()
-        self._status = RtdeStatus(problem="connecting")
-        # Counted separately: a new status for each package would cost more than
-        # the package.
-        self._packages = 0
-        self._closed = threading.Event()
-        self._send_lock = threading.Lock()
-        # Socket, input recipe and the connection's first report, while
-        # writing is possible.
-        self._writer: tuple[socket.socket, Recipe, int] | None = None
-        self._heartbeat = 0
-        self._thread = threading.Thread(
-            target=self._run, name="rtde_reader", daemon=True
+        super().__init__(
+            where=f"{config.host}:{config.port}",
+            retry_first=config.retry_first,
+            retry_last=config.retry_last,
         )
-        self._thread.start()
-
-    def __enter__(self) -> "RtdeClient":
-        return self
-
-    def __exit__(self, *_) -> None:
-        self.close()
 
     @property
     def config(self) -> RtdeConfig:
         """A copy of the settings."""
         return dc.replace(self._config)
 
-    def get_report(self) -> RobotReport:
-        """Returns the newest report; its sequence is -1 if there is none."""
-        return self._report
-
-    def wait_for_report(self, *, after: int, timeout: float) -> RobotReport:
-        """Waits for a report newer than sequence `after`, at most that long.
-
-        Returns:
-            The newest report, which is not newer if the time is over.
-        """
-        with self._condition:
-            self._condition.wait_for(
-                lambda: self._report.sequence > after or self._closed.is_set(),
-                timeout,
-            )
-            return self._report
-
-    def send(self, command: SliderCommand) -> bool:
-        """Sends slider and heartbeat in one package.
-
-        Returns:
-            Whether the package was handed to the system. Only the slider's
-            echo says whether the robot got it. False without a connection,
-            without `write`, or if the command answers no report or one from
-            before the connection: the robot may have restarted.
-        """
-        if command.sequence < 0:
+    def _write(self, link, command):
+        """Writes a package; returns whether all of it was handed over."""
+        package = link.inputs.encode(
+            (command.mask, command.speed_fraction, command.heartbeat)
+        )
+        try:
+            sent = link.writer.send(package)
+        except OSError:
+            sent = 0
+        if sent != len(package):
+            # The robot does not read, and half a package would garble all
+            # that follow. The thread notices and reconnects.
+            with contextlib.suppress(OSError):
+                link.writer.shutdown(socket.SHUT_RDWR)
             return False
-        if not math.isfinite(command.speed_fraction):
-            raise ValueError("speed_fraction: not a number")
-        with self._send_lock:
-            if self._writer is None:
-                return False
-            connection, recipe, first = self._writer
-            if command.sequence < first:
-                return False
-            package = recipe.encode(
-                (command.mask, command.speed_fraction, command.heartbeat)
-            )
-            try:
-                sent = connection.send(package)
-            except OSError:
-                sent = 0
-            if sent != len(package):
-                # The robot does not read, and half a package would garble
-                # all that follow. The thread notices and reconnects.
-                self._writer = None
-                with contextlib.suppress(OSError):
-                    connection.shutdown(socket.SHUT_RDWR)
-                return False
-            self._heartbeat = command.heartbeat
         self.record_package(time.monotonic(), True, package)
         return True
-
-    def get_status(self) -> RtdeStatus:
-        """Returns how the connection is doing."""
-        return dc.replace(
-            self._status, packages=self._packages, missed=self._report.missed
-        )
-
-    def close(self) -> None:
-        """Stops the robot if its slider is ours, and ends the connection."""
-        self._leave_stopped()
-        self._closed.set()
-        with self._condition:
-            self._condition.notify_all()
-        if threading.current_thread() is not self._thread:
-            self._thread.join()
-
-    def _leave_stopped(self):
-        """Sets the slider to 0 and waits briefly until the echo shows it."""
-        wait = _RETURN if self._writer is None else FAREWELL
-        deadline = time.monotonic() + wait
-        while (
-            self._status.writes
-            and not self._closed.is_set()
-            and time.monotonic() < deadline
-        ):
-            report = self._report
-            was_sent = self.send(
-                SliderCommand(
-                    sequence=report.sequence, mask=1, heartbeat=self._heartbeat
-                )
-            )
-            report = self.wait_for_report(
-                after=report.sequence, timeout=FAREWELL / 4
-            )
-            if was_sent and report.target_speed_fraction < 0.005:
-                return
-
-    # What follows runs in the thread.
-
-    def _run(self):
-        pause = self._config.retry_first
-        while not self._closed.is_set():
-            connections = self._status.connections
-            try:
-                self._serve_connection()
-            except LinkLostError as problem:
-                self._update(connected=False, problem=str(problem))
-            except RtdeError as error:
-                self._update(connected=False, problem=f"{self._where}: {error}")
-            except OSError as error:
-                self._update(
-                    connected=False,
-                    problem=f"{self._where}: {error.strerror or error}",
-                )
-            except Exception as error:  # The thread must go on.
-                self._update(connected=False, problem=f"{error!r}")
-            if self._status.connections > connections:
-                pause = self._config.retry_first
-            self._closed.wait(pause)
-            pause = min(2 * pause, self._config.retry_last)
-        self._update(connected=False, problem="closed")
-
-    @property
-    def _where(self):
-        return f"{self._config.host}:{self._config.port}"
-
-    def _update(self, **changes):
-        self._status = dc.replace(self._status, **changes)
 
     def _serve_connection(self):
         """Connects, shakes hands and reads until something goes wrong."""
@@ -224,9 +87,10 @@ class RtdeClient:
             try:
                 self._update(**link.shake_hands())
                 self._read_stream(link)
+            except RtdeError as error:
+                raise LinkLostError(f"{self._where}: {error}") from None
             finally:
-                with self._send_lock:
-                    self._writer = None
+                self._end_stream()
                 if self._closed.is_set():
                     link.say_goodbye()
                 link.close()
@@ -238,33 +102,17 @@ class RtdeClient:
             session=self._report.session + 1,
             last=math.nan,
         )
-        self._begin(link, report)
+        write = None
+        if link.inputs is not None:
+            write = functools.partial(self._write, link)
+        self._begin_stream(report, write)
         while True:
-            self._packages += 1
-            with self._condition:
-                self._report = report
-                self._condition.notify_all()
+            self._publish(report)
             report = link.read_report(
                 before=report, session=report.session, last=report.timestamp
             )
 
-    def _begin(self, link, report):
-        """Lets commands through from the first report on."""
-        if link.inputs is not None:
-            with self._send_lock:
-                self._writer = (link.writer, link.inputs, report.sequence)
-        self._update(
-            connected=True,
-            problem="",
-            writes=link.inputs is not None,
-            connections=self._status.connections + 1,
-        )
-
     # What the link calls.
-
-    def is_closed(self) -> bool:
-        """Returns whether the connection is to end."""
-        return self._closed.is_set()
 
     def record_package(self, time: float, is_sent: bool, package: bytes):
         """Hands a package to the tap."""

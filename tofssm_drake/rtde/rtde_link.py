@@ -8,6 +8,7 @@ import time
 from typing import Protocol
 
 from tofssm_drake.messages import RobotReport
+from tofssm_drake.robots.robot_client import FAREWELL, LinkLostError
 from tofssm_drake.rtde.rtde_config import RtdeConfig
 from tofssm_drake.rtde.rtde_fields import (
     ECHOED_TYPES,
@@ -22,13 +23,6 @@ from tofssm_drake.rtde.rtde_report import (
     ReportMaker,
     list_outputs,
 )
-
-FAREWELL = 0.2
-"""How long each part of closing may take, s."""
-
-
-class LinkLostError(Exception):
-    """The connection cannot be used any more, and why."""
 
 
 class LinkEvent(enum.Enum):
@@ -99,7 +93,7 @@ class RtdeLink:
         """Agrees on version, outputs and inputs, and starts the stream.
 
         Returns:
-            `controller`, `frequency` and `types`, as in `RtdeStatus`.
+            `controller`, `frequency` and `types`, as in `RobotStatus`.
 
         Raises:
             LinkLostError: The controller does not agree or does not answer.

@@ -18,7 +18,7 @@ from typing import cast
 
 from tofssm_drake.errors import UserError
 from tofssm_drake.messages import RTDE_JOINTS
-from tofssm_drake.rtde.rtde_fields import (
+from tofssm_drake.robots.robot_modes import (
     RobotMode,
     RuntimeState,
     SafetyMode,

@@ -24,7 +24,7 @@ from pydrake.systems.framework import (
 
 from tofssm_drake.errors import UserError, require
 from tofssm_drake.messages import RTDE_JOINTS, RobotReport, SliderCommand
-from tofssm_drake.rtde.robot_connection import RobotConnection
+from tofssm_drake.robots.robot_connection import RobotConnection
 from tofssm_drake.rtde.slider import (
     SliderConfig,
     SliderPhase,

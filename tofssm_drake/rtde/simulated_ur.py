@@ -16,16 +16,18 @@ from pydrake.math import RotationMatrix
 from tofssm_drake.arms.kinematics import ArmKinematics
 from tofssm_drake.errors import require
 from tofssm_drake.messages import RTDE_JOINTS
-from tofssm_drake.rtde.model_match import compose, make_pose
-from tofssm_drake.rtde.rtde_fields import (
-    ECHOED_TYPES,
-    INPUT_TYPES,
-    OUTPUT_TYPES,
+from tofssm_drake.robots.robot_modes import (
     RobotMode,
     RobotStatusBit,
     RuntimeState,
     SafetyMode,
     SafetyStatusBit,
+)
+from tofssm_drake.rtde.model_match import compose, make_pose
+from tofssm_drake.rtde.rtde_fields import (
+    ECHOED_TYPES,
+    INPUT_TYPES,
+    OUTPUT_TYPES,
 )
 from tofssm_drake.rtde.rtde_protocol import Value
 from tofssm_drake.tasks.path import ProgramPath

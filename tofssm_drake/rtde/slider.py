@@ -14,8 +14,7 @@ import math
 
 from tofssm_drake.errors import require
 from tofssm_drake.messages import RobotReport, SliderCommand
-from tofssm_drake.rtde.arm_obedience import ArmConfig, ArmState, step_arm
-from tofssm_drake.rtde.rtde_fields import (
+from tofssm_drake.robots.robot_modes import (
     RobotMode,
     RobotStatusBit,
     RuntimeState,
@@ -23,6 +22,7 @@ from tofssm_drake.rtde.rtde_fields import (
     SafetyStatusBit,
     name_of,
 )
+from tofssm_drake.rtde.arm_obedience import ArmConfig, ArmState, step_arm
 
 # A longer gap between reports counts as this long, s.
 _LONGEST_STEP = 0.05

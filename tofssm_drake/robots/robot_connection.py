@@ -9,7 +9,7 @@ from tofssm_drake.messages import RobotReport, SliderCommand
 
 
 @dc.dataclass(frozen=True, kw_only=True)
-class RtdeStatus:
+class RobotStatus:
     """How a connection is doing."""
 
     connected: bool = False
@@ -62,7 +62,7 @@ class RobotConnection(Protocol):
         A command that was handed over may still not arrive.
         """
 
-    def get_status(self) -> RtdeStatus:
+    def get_status(self) -> RobotStatus:
         """Returns how the connection is doing."""
 
     def close(self) -> None:
@@ -107,9 +107,9 @@ class LoopbackConnection:
             self.sent.append(command)
         return not self._closed
 
-    def get_status(self) -> RtdeStatus:
+    def get_status(self) -> RobotStatus:
         """Returns how the connection is doing."""
-        return RtdeStatus(
+        return RobotStatus(
             connected=not self._closed and self._report.sequence >= 0,
             problem="closed" if self._closed else "",
             writes=not self._closed,
@@ -138,9 +138,9 @@ class NullConnection:
         """Drops a command and returns False."""
         return False
 
-    def get_status(self) -> RtdeStatus:
+    def get_status(self) -> RobotStatus:
         """Returns that there is no robot."""
-        return RtdeStatus(problem="no robot")
+        return RobotStatus(problem="no robot")
 
     def close(self) -> None:
         """Does nothing."""

@@ -1,0 +1,1 @@
+"""Any brand of robot: its reports, connection and driver."""
