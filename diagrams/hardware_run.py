@@ -148,20 +148,31 @@ def require_plausible(
         before: The report answered before it.
         limits: Of the arm.
     """
+    joints = len(limits.speed)
+    for values in (report.position, report.velocity):
+        if len(values) != joints:
+            raise UserError(
+                f"robot: reports {len(values)} joints, the scenario's arm has "
+                f"{joints}"
+            )
+    # Before the first report there is no position.
+    positions_before = report.position
+    if before.sequence >= 0:
+        positions_before = before.position
     elapsed = math.inf
     if report.session == before.session:
         elapsed = report.timestamp - before.timestamp
-    joints = zip(
+    joint_values = zip(
         report.position.tolist(),
         report.velocity.tolist(),
-        before.position.tolist(),
+        positions_before.tolist(),
         limits.low,
         limits.high,
         limits.speed,
         strict=True,
     )
     # Texts are made only for faults, since this runs in each tick.
-    for j, (q, v, q_before, low, high, speed) in enumerate(joints):
+    for j, (q, v, q_before, low, high, speed) in enumerate(joint_values):
         problem = ""
         if not low <= q <= high:
             problem = (

@@ -7,15 +7,15 @@ from pydrake.systems.primitives import ConstantVectorSource
 
 from tofssm_drake.arms.kinematics import ArmKinematics
 from tofssm_drake.arms.limits import ArmLimits
+from tofssm_drake.diagrams.drivers import find_real_cell
 from tofssm_drake.diagrams.held_connections import HeldRings, HeldRobot
 from tofssm_drake.diagrams.ring_world import add_ring_world, make_scene
-from tofssm_drake.diagrams.scenario import Scenario, find_rtde
+from tofssm_drake.diagrams.scenario import Scenario
 from tofssm_drake.diagrams.sensors.rings import find_rings
 from tofssm_drake.diagrams.station import Station
 from tofssm_drake.diagrams.tasks import make_task_path
 from tofssm_drake.errors import require
 from tofssm_drake.laws.sensing_problem import SensingProblem
-from tofssm_drake.messages import RTDE_JOINTS
 from tofssm_drake.ringlink.ring_systems import (
     RingInterfaceSystem,
     RingSubscriberSystem,
@@ -92,7 +92,7 @@ def make_hardware_station(
         The station.
 
     Raises:
-        UserError: RTDE is not for such an arm.
+        UserError: The driver is not for such an arm.
     """
     builder = DiagramBuilder()
     seen = scenario
@@ -101,17 +101,20 @@ def make_hardware_station(
         seen = dc.replace(scenario, people={}, obstacles={})
     scene_graph, plant = make_scene(builder, seen)
     kinematics = ArmKinematics.from_plant(plant)
+    driver = find_real_cell(scenario.driver)
     require(
-        kinematics.num_joints == RTDE_JOINTS,
-        f"robot: RTDE is for arms of {RTDE_JOINTS} joints, this one has "
-        f"{kinematics.num_joints}",
+        driver.traits.joints in (None, kinematics.num_joints),
+        f"robot: {driver.traits.name} is for arms of {driver.traits.joints} "
+        f"joints, this one has {kinematics.num_joints}",
     )
     path = make_task_path(scenario.task, kinematics, scenario.robot)
     subscriber, receiver, commanded = _add_robot(
         builder,
         robot,
         RobotReportReceiver(
-            path=path, gripper_output=find_rtde(scenario).gripper_output
+            path=path,
+            joints=kinematics.num_joints,
+            find_carried_objects=driver.find_carried_objects,
         ),
     )
     if rings is not None:
@@ -158,10 +161,11 @@ def make_slider_config(scenario: Scenario) -> SliderConfig:
     Args:
         scenario: Checked settings.
     """
-    driver = find_rtde(scenario)
+    driver = find_real_cell(scenario.driver)
     return SliderConfig(
         **vars(driver.slider),
         arm=driver.checks.arm,
+        has_echo=driver.traits.has_echo,
         reduced_fraction=scenario.law.traits.reduced_fraction,
     )
 

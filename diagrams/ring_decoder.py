@@ -1,6 +1,7 @@
 """Makes the decoder for the frames of a scenario's real rings."""
 
-from tofssm_drake.diagrams.scenario import Scenario, find_rtde
+from tofssm_drake.diagrams.drivers import find_real_cell
+from tofssm_drake.diagrams.scenario import Scenario
 from tofssm_drake.diagrams.sensors.rings import Ring, find_rings
 from tofssm_drake.ringlink.ring_budget import RingBudget, calc_max_age
 from tofssm_drake.ringlink.ring_receiver import RingDecoder, RingLinkConfig
@@ -48,7 +49,7 @@ def make_ring_decoder(
     """
     rings = find_rings(scenario.sensors)
     return RingDecoder(
-        config=find_rtde(scenario).ring_link if config is None else config,
+        config=config or find_real_cell(scenario.driver).ring_link,
         rings=rings,
         budget={
             name: make_ring_budget(scenario, ring, control_period)

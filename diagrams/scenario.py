@@ -19,8 +19,8 @@ from tofssm_drake.arms.arm_file import find_model_file
 from tofssm_drake.arms.cell_plant import WORKCELL
 from tofssm_drake.arms.sim_arm import Simulated
 from tofssm_drake.arms.ur_arm import UrArm
+from tofssm_drake.diagrams.drivers import ArmDriver
 from tofssm_drake.diagrams.people import Person
-from tofssm_drake.diagrams.rtde_driver import Rtde
 from tofssm_drake.diagrams.sensors import (
     PlanarLidar,
     Sensor,
@@ -96,7 +96,7 @@ class Scenario:
     robot: UrArm | Arm = dc.field(default_factory=UrArm)
 
     # What drives the arm: a simulation of its dynamics, or a real controller.
-    driver: Simulated | Rtde = dc.field(default_factory=Simulated)
+    driver: ArmDriver = dc.field(default_factory=Simulated)
 
     # The task: where the products are and how fast the arm moves.
     task: Task = dc.field(default_factory=PickAndPlace)
@@ -219,23 +219,6 @@ def find_lidars(scenario: Scenario) -> dict[str, PlanarLidar]:
         for name, sensor in scenario.sensors.items()
         if isinstance(sensor, PlanarLidar)
     }
-
-
-def find_rtde(scenario: Scenario) -> Rtde:
-    """Returns the settings of the real cell; the default if it is simulated.
-
-    Raises:
-        UserError: The driver is of another kind, which must not be taken for a
-            controller with RTDE.
-    """
-    driver = scenario.driver
-    if isinstance(driver, Rtde):
-        return driver
-    require(
-        isinstance(driver, Simulated),
-        f"driver: !{type(driver).__name__} is not over RTDE; must be !Rtde",
-    )
-    return Rtde()
 
 
 def find_threshold_offsets(scenario: Scenario) -> np.ndarray:

@@ -11,17 +11,15 @@ from pydrake.systems.analysis import Simulator
 
 from tofssm_drake.arms.cell_plant import make_cell_plant
 from tofssm_drake.arms.kinematics import ArmKinematics
+from tofssm_drake.diagrams.drivers import find_real_cell
 from tofssm_drake.diagrams.ring_world import make_ring_world
-from tofssm_drake.diagrams.scenario import Scenario, find_rtde
+from tofssm_drake.diagrams.scenario import Scenario
 from tofssm_drake.diagrams.sensors.rings import find_rings
 from tofssm_drake.diagrams.tasks import make_task_path
 from tofssm_drake.ringlink.ring_device import DeviceClock, make_frame
 from tofssm_drake.ringlink.ring_fault_injection import FaultInjector, RingFault
 from tofssm_drake.ringlink.ring_frame import RingFrame
-from tofssm_drake.rtde.rtde_systems import (
-    ProgressReport,
-    read_carried_objects,
-)
+from tofssm_drake.robots.driver import ProgressReport
 
 # Longest extrapolation of the robot's motion from its last report, s: slightly
 # more than two of its control cycles; and backwards, if a busy computer wakes
@@ -116,7 +114,7 @@ class SimulatedRings:
         """
         self._rings = find_rings(scenario.sensors)
         self._ring_numbers = ring_numbers or range(len(self._rings))
-        self._gripper_output = find_rtde(scenario).gripper_output
+        self._driver = find_real_cell(scenario.driver)
         self._clocks = clocks or [DeviceClock()] * len(self._rings)
         self._injectors = [
             FaultInjector(f for f in faults if f.ring == ring)
@@ -156,7 +154,7 @@ class SimulatedRings:
             report: The robot's newest; there must be one.
             now: Host's time at the world's time, s.
         """
-        carried = read_carried_objects(report, self._path, self._gripper_output)
+        carried = self._driver.find_carried_objects(report, self._path)
         for name, value in (
             ("position_measured", carry_on(report, now)),
             ("carried_objects", carried),

@@ -37,6 +37,7 @@ _WORDS = {
 _DECIMAL = re.compile(r"[-+]?(0|[1-9][0-9]*|[0-9]*\.[0-9]*|[0-9.]+[eE].*)")
 
 _MERGE = "tag:yaml.org,2002:merge"
+_MAP = "tag:yaml.org,2002:map"
 
 
 def parse_yaml(text: str, source: str) -> yaml.MappingNode:
@@ -57,7 +58,10 @@ def parse_yaml(text: str, source: str) -> yaml.MappingNode:
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
         line = f":{mark.line + 1}" if mark else ""
-        problem = error.problem or error.context
+        problem = error.problem or error.context or ""
+        if "expected ' '" in problem:
+            # What PyYAML says of {driver: !Rtde}.
+            problem = "a kind needs its settings: !Kind {}"
         raise UserError(f"{source}{line}: not YAML: {problem}") from None
     except yaml.YAMLError as error:
         problem = str(error).splitlines()[0]
@@ -171,15 +175,17 @@ def check_yaml(
         UserError: unknown key (with the nearest known one) or wrong type.
     """
     origin = typing.get_origin(schema)
+    kinds: tuple[Any, ...] = ()
     if origin in (types.UnionType, typing.Union):
-        schema = _choose(node, typing.get_args(schema), source, where)
+        kinds = typing.get_args(schema)
+        schema = _choose(node, kinds, source, where)
         if schema is None:
             return
         origin = typing.get_origin(schema)
-    elif node.tag.startswith("!"):
-        _fail(node, source, where, f"takes no kind, but has {node.tag}")
+    elif _find_kind(node):
+        _fail(node, source, where, f"takes no kind, but has {_find_kind(node)}")
     if dc.is_dataclass(schema):
-        _check_settings(node, schema, source, where)
+        _check_settings(node, schema, source, where, kinds)
     elif origin is list or schema is np.ndarray:
         _check_list(node, schema, source, where)
     elif origin in (dict, collections.abc.Mapping):
@@ -198,10 +204,24 @@ def _fail(node, source, where, problem) -> NoReturn:
     raise UserError(f"{source}:{line}: {where or 'scenario'}: {problem}")
 
 
-def _check_settings(node, schema, source, where):
-    """Checks a mapping that must fit a dataclass."""
+def _find_kind(node):
+    """Returns the tag of a node that is none of YAML's own; empty: none."""
+    if node.tag.startswith("!"):
+        return node.tag
+    is_map = isinstance(node, yaml.MappingNode)
+    return (
+        f"!!{node.tag.rpartition(':')[2]}"
+        if is_map and node.tag != _MAP
+        else ""
+    )
+
+
+def _check_settings(node, schema, source, where, kinds):
+    """Checks a mapping that must fit a dataclass, one of these kinds."""
     if not isinstance(node, yaml.MappingNode):
-        _fail(node, source, where, "must be a mapping of keys to values")
+        kind = _find_kind(node)
+        hint = f"; write {kind} {{}}" if kind else ""
+        _fail(node, source, where, f"must be a mapping of keys to values{hint}")
     known: dict[str, Any] = {f.name: f.type for f in dc.fields(schema)}
     for key, child in get_children(node).items():
         path = f"{where}.{key}" if where else key
@@ -209,14 +229,28 @@ def _check_settings(node, schema, source, where):
             now = getattr(schema, "RENAMED", {}).get(key)
             if now:
                 _fail(child, source, path, f"is now {now}")
-            near = difflib.get_close_matches(key, known, n=1)
-            right = (
-                f"did you mean {near[0]!r}?"
-                if near
-                else f"known keys: {', '.join(sorted(known))}"
+            _fail(
+                child,
+                source,
+                path,
+                f"unknown key; {_suggest(key, known, schema, kinds)}",
             )
-            _fail(child, source, path, f"unknown key; {right}")
         check_yaml(child, known[key], source, path)
+
+
+def _suggest(key, known, schema, kinds):
+    """Returns what would be right in place of an unknown key."""
+    near = difflib.get_close_matches(key, known, n=1)
+    if near:
+        return f"did you mean {near[0]!r}?"
+    others = [
+        f"!{kind.__name__}"
+        for kind in kinds
+        if dc.is_dataclass(kind) and key in {f.name for f in dc.fields(kind)}
+    ]
+    if others:
+        return f"it is one of {', '.join(others)}, not of !{schema.__name__}"
+    return f"known keys: {', '.join(sorted(known))}"
 
 
 def _check_list(node, schema, source, where):
@@ -285,13 +319,18 @@ def _choose(node, members, source, where):
     members = [m for m in members if m is not type(None)]
     if len(members) > 1 and set(members) <= set(_SCALARS):
         return _choose_scalar(node, members, source, where)
-    if not node.tag.startswith("!"):
+    if not _find_kind(node):
         return members[0]
     for member in members:
         if member.__name__ == node.tag[1:]:
             return member
     names = ", ".join(f"!{m.__name__}" for m in members)
-    _fail(node, source, where, f"unknown kind {node.tag}; one of {names}")
+    _fail(
+        node,
+        source,
+        where,
+        f"unknown kind {_find_kind(node)}; one of {names}",
+    )
 
 
 def _choose_scalar(node, members, source, where):

@@ -9,10 +9,11 @@ from typing import Annotated
 
 import typer
 
+from tofssm_drake.diagrams.drivers import find_real_cell
+from tofssm_drake.diagrams.drivers.real_cell import VIRTUAL
 from tofssm_drake.diagrams.hardware_run import require_control_period
 from tofssm_drake.diagrams.hardware_station import make_slider_config
-from tofssm_drake.diagrams.rtde_driver import VIRTUAL
-from tofssm_drake.diagrams.scenario import find_rtde, load_scenario
+from tofssm_drake.diagrams.scenario import load_scenario
 from tofssm_drake.diagrams.sensors.rings import find_rings
 from tofssm_drake.errors import require
 from tofssm_drake.scripts.hardware_session import SessionSettings, run_session
@@ -24,7 +25,7 @@ def hardware(
     robot_host: Annotated[
         str | None,
         typer.Option(
-            help="Address of the robot, real or simulated; default: the "
+            help="Address of the UR robot, real or simulated; default: the "
             "scenario's."
         ),
     ] = None,
@@ -149,7 +150,7 @@ def hardware(
     scenario = load_scenario(
         filename=scenario_file, name=scenario_name, text=scenario_text
     )
-    scenario.driver = driver = dc.replace(find_rtde(scenario))
+    scenario.driver = driver = dc.replace(find_real_cell(scenario.driver))
     driver.allow_remote |= allow_remote
     addresses = _take_rings(driver, rings, human_motion=human_motion, seed=seed)
     override(
@@ -168,12 +169,8 @@ def hardware(
     driver.checks = options.make_robot_checks(
         checks_text, allow_no_pose=allow_no_pose, base=driver.checks
     )
-    driver.robot = options.make_robot_config(
-        robot_host,
-        robot_port,
-        robot_text,
-        write=not dry_run,
-        base=driver.robot,
+    options.change_robot(
+        driver, host=robot_host, port=robot_port, text=robot_text
     )
     _change_slider(driver, minimum_fraction, slider_limit, scenario)
     return run_session(
@@ -181,10 +178,9 @@ def hardware(
             scenario=scenario,
             scenario_name=scenario_name,
             addresses=addresses,
-            robot=driver.robot,
+            driver=driver,
             slider=make_slider_config(scenario),
-            checks=driver.checks,
-            is_dry_run=not driver.robot.write,
+            is_dry_run=dry_run or not driver.writes,
             max_deviation=math.inf if any_pose else driver.max_deviation,
             control_period=control_period,
             wait=wait,

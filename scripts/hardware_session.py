@@ -8,7 +8,9 @@ import time
 
 from rich.console import Console
 
+from tofssm_drake.arms.cell_plant import make_cell_plant
 from tofssm_drake.arms.kinematics import ArmKinematics
+from tofssm_drake.diagrams.drivers import RealCell
 from tofssm_drake.diagrams.hardware_loop import HardwareLoop, TickResult
 from tofssm_drake.diagrams.hardware_run import (
     HardwareRun,
@@ -35,9 +37,6 @@ from tofssm_drake.ringlink.ring_address import SerialAddress, UdpAddress
 from tofssm_drake.ringlink.ring_link import RingLink
 from tofssm_drake.robots.robot_connection import RobotStatus
 from tofssm_drake.rtde.model_match import describe_tool
-from tofssm_drake.rtde.robot_checks import RobotChecks
-from tofssm_drake.rtde.rtde_client import RtdeClient
-from tofssm_drake.rtde.rtde_config import RtdeConfig
 from tofssm_drake.rtde.slider import SliderConfig, find_operator_limit
 from tofssm_drake.scripts.hardware_status import HardwareStatus
 from tofssm_drake.scripts.simulate import (
@@ -83,9 +82,8 @@ class SessionSettings:
     scenario_name: str
     addresses: tuple[UdpAddress | SerialAddress, ...]
     """Of the rings; empty: they are simulated around the real robot."""
-    robot: RtdeConfig
+    driver: RealCell
     slider: SliderConfig
-    checks: RobotChecks
     is_dry_run: bool
     """Nothing is written to the robot."""
     max_deviation: float
@@ -141,6 +139,12 @@ def run_session(settings: SessionSettings) -> int:
         ):
             raise KeyboardInterrupt(_TOO_EARLY)
         _hold_slider(settings, robot)
+        # Before anything else is waited for: it may be another robot.
+        _require_ready(
+            settings,
+            make_cell_plant(arm=settings.scenario.robot),
+            robot.get_report(),
+        )
         with interrupt_on_stop(stopped, _TOO_EARLY):
             loop = _make_loop(settings, robot)
         if settings.in_real_time and not stack.enter_context(
@@ -199,12 +203,12 @@ def _open_rings(stack, settings, recorder):
 
 def _open_robot(stack, settings, recorder):
     """Returns the connection to the robot, which the stack closes first."""
-    robot = RtdeClient(
-        settings.robot,
+    robot = settings.driver.open(
+        write=not settings.is_dry_run,
         tap=None if recorder is None else recorder.add_robot_bytes,
     )
-    # Closing sets the slider to 0.
-    stack.enter_context(robot)
+    # It sets the slider to 0.
+    stack.callback(robot.close)
     stack.enter_context(_tell_slider(robot, settings))
     return robot
 
@@ -248,22 +252,28 @@ def _make_run(settings, loop, robot, link, recorder):
         record=recorder,
         limits=JointLimits.from_plant(plant),
         kinematics=ArmKinematics.from_plant(plant),
-        checks=settings.checks,
+        checks=settings.driver.checks,
         lowest=settings.slider.minimum_fraction,
+    )
+
+
+def _require_ready(settings, plant, report):
+    """Raises UserError unless it is the modelled robot, ready to start."""
+    require_ready(
+        report,
+        settings.scenario,
+        plant,
+        max_deviation=settings.max_deviation,
+        model=settings.driver.checks.model,
     )
 
 
 def _begin(settings, loop, robot, first, recorder):
     """Checks the robot's first report; records and prints what is run."""
     plant = loop.workcell.station.plant
-    scenario, checks = settings.scenario, settings.checks
-    require_ready(
-        first,
-        scenario,
-        plant,
-        max_deviation=settings.max_deviation,
-        model=checks.model,
-    )
+    scenario, checks = settings.scenario, settings.driver.checks
+    # It may have moved while the rings were waited for.
+    _require_ready(settings, plant, first)
     if recorder is not None:
         limit = settings.slider.operator_limit
         recorder.add_run(
@@ -351,8 +361,9 @@ def describe_robot(status: RobotStatus, control_period: float) -> str:
         control_period: Control tick, s.
     """
     version = ".".join(str(part) for part in status.controller[:3])
+    software = f"software {version}, " if version else ""
     return (
-        f"robot: software {version}, {status.frequency:g} Hz; control tick "
+        f"robot: {software}{status.frequency:g} Hz; control tick "
         f"{1e3 * control_period:g} ms"
     )
 
@@ -394,6 +405,8 @@ def _tell_slider(robot, settings):
 def _describe_slider(robot, settings):
     if settings.is_dry_run:
         return "nothing was written (dry run)"
+    if not settings.driver.traits.has_echo:
+        return "speed fraction set to 0, which this robot does not confirm"
     if robot.get_report().target_speed_fraction < _AT_ZERO:
         return "slider set to 0"
     return "slider not seen at 0: its own watchdog must stop the robot"

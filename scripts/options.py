@@ -8,11 +8,11 @@ from typing import Annotated
 
 import typer
 
+from tofssm_drake.diagrams.drivers import RealCell
 from tofssm_drake.diagrams.scenario import change_settings
 from tofssm_drake.errors import UserError, require
 from tofssm_drake.laws.config import CONFIGURATIONS
 from tofssm_drake.rtde.robot_checks import RobotChecks
-from tofssm_drake.rtde.rtde_config import RtdeConfig
 
 
 def parse_path(text: str) -> Path:
@@ -55,12 +55,12 @@ HumanMotion = Annotated[
 Seed = Annotated[int | None, typer.Option(help="Seed of the sensors' errors.")]
 RobotPort = Annotated[
     int | None,
-    typer.Option(help="The robot's RTDE port; default: the scenario's."),
+    typer.Option(help="The UR robot's RTDE port; default: the scenario's."),
 ]
 RobotText = Annotated[
     str,
     typer.Option(
-        help="Connection settings to change, as YAML, e.g. "
+        help="Settings of the RTDE connection to change, as YAML, e.g. "
         "'{heartbeat_register: 25}'; see docs/robot_link.md."
     ),
 ]
@@ -96,26 +96,35 @@ def make_robot_checks(
     return checks
 
 
-def make_robot_config(
-    host: str | None,
-    port: int | None,
-    text: str,
-    *,
-    write: bool,
-    base: RtdeConfig,
-) -> RtdeConfig:
-    """Returns the settings of the connection to the robot, validated.
+def change_robot(
+    driver: RealCell, *, host: str | None, port: int | None, text: str
+) -> None:
+    """Sets what the options say of the connection to the robot.
 
     Args:
-        host: --robot-host; None: that of `base`.
+        driver: Of the cell; changed. It takes the options if it has settings
+            `robot` with host and port.
+        host: --robot-host; None: the driver's own.
         port: --robot-port; likewise.
         text: --robot-text.
-        write: Whether to claim slider and heartbeat, if `base` does.
-        base: What the options change: the scenario's.
 
     Raises:
-        UserError: A setting is unknown, out of range or has its own option.
+        UserError: A setting is unknown, out of range or has its own option, or
+            the driver has no such settings.
     """
+    base = vars(driver).get("robot")
+    if base is None:
+        for option, value in (
+            ("--robot-host", host),
+            ("--robot-port", port),
+            ("--robot-text", text or None),
+        ):
+            require(
+                value is None,
+                f"{option}: is not for the driver !{type(driver).__name__}; "
+                "use --scenario-text '{driver: {parameters: {...}}}'",
+            )
+        return
     settings = change_settings(base, text, source="--robot-text", where="robot")
     for name, option in (
         ("host", "--robot-host"),
@@ -130,11 +139,10 @@ def make_robot_config(
         settings,
         host=base.host if host is None else host,
         port=base.port if port is None else port,
-        write=write and base.write,
     )
     with blame({"robot.host": "--robot-host", "robot.port": "--robot-port"}):
         settings.check("robot")
-    return settings
+    vars(driver)["robot"] = settings
 
 
 @contextlib.contextmanager

@@ -1,5 +1,7 @@
 """`tofssm simulated-rings`: simulated rings around a robot, for tests."""
 
+import contextlib
+import copy
 import dataclasses as dc
 import time
 from typing import Annotated
@@ -7,7 +9,8 @@ from typing import Annotated
 from rich.console import Console
 import typer
 
-from tofssm_drake.diagrams.scenario import find_rtde, load_scenario
+from tofssm_drake.diagrams.drivers import find_real_cell
+from tofssm_drake.diagrams.scenario import load_scenario
 from tofssm_drake.diagrams.sensors.rings import find_rings
 from tofssm_drake.diagrams.simulated_rings import (
     SimulatedRings,
@@ -21,7 +24,7 @@ from tofssm_drake.ringlink.ring_device import (
     UdpSender,
 )
 from tofssm_drake.ringlink.ring_fault_injection import parse_ring_fault
-from tofssm_drake.rtde.rtde_client import RtdeClient
+from tofssm_drake.robots.robot_connection import RobotConnection
 import tofssm_drake.scripts.options as options
 from tofssm_drake.scripts.simulate import (
     catch_stop,
@@ -105,12 +108,9 @@ def simulated_rings(
     }
     require(bool(counts), "sensors: there is no ring to simulate")
     faults = [parse_ring_fault(text, counts) for text in fault or []]
-    config = options.make_robot_config(
-        robot_host,
-        robot_port,
-        robot_text,
-        write=False,
-        base=find_rtde(scenario).robot,
+    driver = copy.copy(find_real_cell(scenario.driver))
+    options.change_robot(
+        driver, host=robot_host, port=robot_port, text=robot_text
     )
     sender = PtySender() if address is None else UdpSender(address)
     try:
@@ -125,7 +125,7 @@ def simulated_rings(
                     faults=faults,
                     send=sender.send,
                 )
-            with RtdeClient(config) as robot:
+            with contextlib.closing(driver.open(write=False)) as robot:
                 print(
                     "simulated rings, "
                     + ", ".join(
@@ -161,7 +161,7 @@ class _Run:
     """The loop, until it is stopped or the time has passed."""
 
     rings: SimulatedRings
-    robot: RtdeClient
+    robot: RobotConnection
     stopped: list
     duration: float
     problem: str = ""

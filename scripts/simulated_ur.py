@@ -7,9 +7,10 @@ import typer
 from tofssm_drake.arms.cell_plant import make_cell_plant
 from tofssm_drake.arms.kinematics import ArmKinematics
 from tofssm_drake.arms.ur_arm import UrArm
-from tofssm_drake.diagrams.scenario import Scenario, find_rtde, load_scenario
+from tofssm_drake.diagrams.drivers import Rtde, find_real_cell
+from tofssm_drake.diagrams.scenario import Scenario, load_scenario
 from tofssm_drake.diagrams.tasks import make_task_path
-from tofssm_drake.errors import require
+from tofssm_drake.errors import UserError, require
 from tofssm_drake.rtde.rtde_server import Faults, RtdeServer
 from tofssm_drake.rtde.simulated_ur import SimulatedUr, SimulatedUrConfig
 import tofssm_drake.scripts.options as options
@@ -111,7 +112,12 @@ def simulated_ur(
         model,
         products,
     )
-    driver = find_rtde(scenario)
+    driver = find_real_cell(scenario.driver)
+    if not isinstance(driver, Rtde):
+        raise UserError(
+            f"driver: !{type(driver).__name__} is another brand's; only !Rtde "
+            "has a controller that can be simulated"
+        )
     config = SimulatedUrConfig(
         heartbeat_register=driver.robot.heartbeat_register,
         products_register=driver.robot.products_register,
@@ -194,9 +200,17 @@ def make_robot(config: SimulatedUrConfig, scenario: Scenario) -> SimulatedUr:
         scenario: Of robot and program.
     """
     kinematics = ArmKinematics.from_plant(make_cell_plant(arm=scenario.robot))
+    try:
+        path = make_task_path(scenario.task, kinematics, scenario.robot)
+    except UserError as error:
+        raise UserError(
+            f"{error}; the task must fit the arm: change it with "
+            "--scenario-text, or take a scenario of such an arm, e.g. "
+            "--scenario-file examples/my_arm.yaml --scenario-name UR5e"
+        ) from None
     robot = SimulatedUr(
         config=config,
-        path=make_task_path(scenario.task, kinematics, scenario.robot),
+        path=path,
         kinematics=kinematics,
     )
     # Compiles what the first cycle needs, so that its timing is steady.

@@ -356,7 +356,10 @@ class RobotReport(_Frozen):
     """What a real robot reports about itself in one package.
 
     All values belong to one control cycle. A number that the robot does not
-    send is NaN, or -1 for an integer.
+    send is NaN, or -1 for an integer. Its driver makes it (`robots.Driver`);
+    modes and states are numbered as in `robots.robot_modes`, whatever the
+    brand. Of these `robot_mode`, `safety_mode` and `runtime_state` are needed:
+    a robot that does not report them is held.
     """
 
     sequence: int = -1
@@ -371,17 +374,18 @@ class RobotReport(_Frozen):
     timestamp: float = -np.inf
     """When it was made, s on the robot's own clock."""
     position: np.ndarray = dc.field(default_factory=_make_unknown)
-    """Measured joints q, rad, (6,)."""
+    """Measured joints q, rad or m, (n,)."""
     velocity: np.ndarray = dc.field(default_factory=_make_unknown)
-    """Measured joint speeds, rad/s, (6,)."""
+    """Measured joint speeds, rad/s or m/s, (n,)."""
     acceleration_commanded: np.ndarray = dc.field(default_factory=_make_unknown)
-    """Target joint accelerations, rad/s^2, (6,)."""
+    """Target joint accelerations, rad/s^2 or m/s^2, (n,)."""
     tcp_pose: np.ndarray = dc.field(default_factory=_make_unknown)
     """Tool in the robot's base: x, y, z in m, rotation vector in rad, (6,)."""
     tcp_velocity: np.ndarray = dc.field(default_factory=_make_unknown)
     """Of the tool in the base: m/s, then rad/s, (6,)."""
     tcp_offset: np.ndarray = dc.field(default_factory=_make_unknown)
-    """Tool in the flange: x, y, z in m, rotation vector in rad, (6,)."""
+    """Tool in the flange, which is the frame of the modelled arm's last joint:
+    x, y, z in m, rotation vector in rad, (6,)."""
     digital_inputs: int = -1
     """Bits 0-7 standard, 8-15 configurable, 16-17 tool."""
     digital_outputs: int = -1
@@ -401,14 +405,14 @@ class RobotReport(_Frozen):
     speed_scaling: float = np.nan
     """Factor of the robot's own trajectory limiter."""
     target_speed_fraction: float = np.nan
-    """Where the speed slider is, 0 to 1."""
+    """Where the speed slider is, the echo of the commanded fraction, 0 to 1."""
     products_placed: int = -1
-    """Register in which the robot's program counts."""
+    """How often the gripper has let go, as the robot's program counts."""
 
 
 @dc.dataclass(frozen=True, eq=False, kw_only=True)
 class SliderCommand(_Frozen):
-    """One package to the robot: its speed slider and a sign of life."""
+    """What to tell the robot: its speed slider and a sign of life."""
 
     sequence: int = -1
     """Of the report that it answers; -1: there was none, nothing to send."""

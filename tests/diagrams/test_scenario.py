@@ -6,6 +6,8 @@ import unittest
 
 import yaml
 
+from tofssm_drake.diagrams import drivers
+from tofssm_drake.diagrams.drivers import find_real_cell
 import tofssm_drake.diagrams.scenario as mut
 from tofssm_drake.diagrams.station import make_station
 from tofssm_drake.errors import UserError
@@ -216,18 +218,42 @@ class TestLoad(unittest.TestCase):
 
 
 class TestDriver(unittest.TestCase):
-    def test_another_driver_is_not_taken_for_one_with_rtde(self):
-        @dc.dataclass
-        class Other:
-            """A driver of another brand."""
+    def test_a_simulated_cell_has_the_defaults_of_a_ur(self):
+        self.assertEqual(
+            find_real_cell(mut.load_scenario().driver), drivers.Rtde()
+        )
 
+    def test_a_real_robot_is_not_simulated(self):
         scenario = mut.load_scenario()
-        self.assertEqual(mut.find_rtde(scenario), mut.Rtde())
-        scenario.driver = Other()
-        with self.assertRaisesRegex(UserError, "driver: !Other is not over"):
-            mut.find_rtde(scenario)
-        with self.assertRaisesRegex(UserError, "driver: !Other is a real"):
-            make_station(scenario)
+        for driver in (drivers.Rtde(), drivers.CustomDriver()):
+            scenario.driver = driver
+            self.assertIs(find_real_cell(driver), driver)
+            with self.assertRaisesRegex(UserError, "is a real robot"):
+                make_station(scenario)
+
+    def test_mistakes_of_kind_cost_one_line(self):
+        for text, message in (
+            (
+                "{driver: !Arm {}}",
+                "driver: unknown kind !Arm; one of !Simulated, !Rtde, !Cust",
+            ),
+            ("{driver: !!python/x {}}", "driver: unknown kind !!python/x; one"),
+            ("{driver: {kind: Arm}}", "driver: unknown kind !Arm; one of"),
+            ("{driver: Rtde}", "driver: must be a mapping"),
+            ("{driver: !Rtde}", "a kind needs its settings: !Kind {}"),
+            ("driver: !Rtde", "driver: must be a mapping .*; write !Rtde {}"),
+            ("{mask: !Arm {}}", "mask: takes no kind, but has !Arm"),
+            ("{mask: !!x {}}", "mask: takes no kind, but has !!x"),
+            (
+                "{driver: {robot: {host: a}}}",
+                "driver.robot: unknown key; it is one of !Rtde, not of !Simul",
+            ),
+        ):
+            with (
+                self.subTest(text),
+                self.assertRaisesRegex(UserError, f"^--scenario.*{message}"),
+            ):
+                mut.load_scenario(text=text)
 
 
 class TestDump(unittest.TestCase):

@@ -11,6 +11,7 @@ from pydrake.systems.primitives import (
 from robot_room import make_path, make_robot, serve
 
 from tofssm_drake.carried_objects import ON_TOOL
+from tofssm_drake.diagrams.drivers import Rtde
 from tofssm_drake.errors import UserError
 from tofssm_drake.messages import RobotReport, SliderCommand
 from tofssm_drake.robots.robot_connection import (
@@ -179,7 +180,7 @@ class TestReceiver(unittest.TestCase):
                 target_speed_fraction=0.3,
                 speed_scaling=0.9,
             ),
-            gripper_output=3,
+            find_carried_objects=Rtde(gripper_output=3).find_carried_objects,
             path=make_path(5),
         )
         for i, name in enumerate(
@@ -214,7 +215,7 @@ class TestReceiver(unittest.TestCase):
     def test_task_done_and_other_outputs(self):
         ports = self.calc(
             make_report(0, digital_outputs=0b110111, products_placed=2),
-            gripper_output=3,
+            find_carried_objects=Rtde(gripper_output=3).find_carried_objects,
         )
         np.testing.assert_array_equal(ports["carried_objects"], [1, 1])
         self.assertEqual(ports["task_done"], [1])

@@ -10,7 +10,7 @@ others are given it:
     RtdePublisherSystem    sends the command in forced publish events
 """
 
-from typing import Protocol
+from collections.abc import Callable
 
 import numpy as np
 from pydrake.common.value import Value
@@ -24,6 +24,7 @@ from pydrake.systems.framework import (
 
 from tofssm_drake.errors import UserError, require
 from tofssm_drake.messages import RTDE_JOINTS, RobotReport, SliderCommand
+from tofssm_drake.robots.driver import read_carried_objects
 from tofssm_drake.robots.robot_connection import RobotConnection
 from tofssm_drake.rtde.slider import (
     SliderConfig,
@@ -159,39 +160,6 @@ class RtdePublisherSystem(LeafSystem):
         return EventStatus.Succeeded()
 
 
-class ProgressReport(Protocol):
-    """What a robot reports of its program; `RobotReport` is one."""
-
-    @property
-    def digital_outputs(self) -> int:
-        """Bits, or -1."""
-
-    @property
-    def products_placed(self) -> int:
-        """Number, or -1."""
-
-
-def read_carried_objects(
-    report: ProgressReport, path: ProgramPath, gripper_output: int
-) -> np.ndarray:
-    """Returns where the task's objects are, by what the robot reports.
-
-    Args:
-        report: The robot's.
-        path: Of the robot's program.
-        gripper_output: Number of the digital output that closes the gripper.
-
-    Returns:
-        Place of each object, or ON_TOOL, (p,). An output that is not reported
-        counts as open: what the gripper holds is then an obstacle.
-    """
-    bits = max(report.digital_outputs, 0)
-    return path.find_carried_objects(
-        products_placed=max(report.products_placed, 0),
-        gripper_closed=bool(bits >> gripper_output & 1),
-    )
-
-
 class RobotReportReceiver(LeafSystem):
     """Splits a report into the ports of a simulated robot.
 
@@ -212,34 +180,39 @@ class RobotReportReceiver(LeafSystem):
         - target_speed_fraction
         - speed_scaling
 
-    The first five are vectors of six: rad, rad/s, rad/s^2; the tool in the
-    robot's base, as `RobotReport` has it. `carried_objects` follows from a bit
-    of the digital outputs and the register of products
-    (`read_carried_objects`); `products_placed` is that register, 0 before there
-    is one; `task_done` is 1 once it has counted all that the program places.
+    The first three are vectors of the joints: rad, rad/s, rad/s^2; the next two
+    are the tool in the robot's base, six each, as `RobotReport` has it. What is
+    not reported is NaN. `carried_objects` is what the driver makes of the
+    report; `products_placed` is 0 before a number is reported; `task_done` is 1
+    once it has counted all that the program places.
 
     Args:
         path: Of the robot's program.
-        gripper_output: Number of the digital output that closes the gripper.
+        joints: Number of the robot's joints.
+        find_carried_objects: The driver's, see `Driver`.
     """
 
-    def __init__(self, *, path: ProgramPath, gripper_output: int = 0):
+    def __init__(
+        self,
+        *,
+        path: ProgramPath,
+        joints: int = RTDE_JOINTS,
+        find_carried_objects: Callable[
+            [RobotReport, ProgramPath], np.ndarray
+        ] = read_carried_objects,
+    ):
         super().__init__()
-        require(
-            0 <= gripper_output <= 17,
-            f"gripper_output: must be from 0 to 17, got {gripper_output}",
-        )
         placements = len(path.open_time)
         self._report = self.DeclareAbstractInputPort(
             "report", Value(RobotReport())
         )
         ticket = {self._report.ticket()}
         for name, size, read in (
-            ("position_measured", RTDE_JOINTS, lambda r: r.position),
-            ("velocity_measured", RTDE_JOINTS, lambda r: r.velocity),
+            ("position_measured", joints, lambda r: r.position),
+            ("velocity_measured", joints, lambda r: r.velocity),
             (
                 "acceleration_commanded",
-                RTDE_JOINTS,
+                joints,
                 lambda r: r.acceleration_commanded,
             ),
             ("tcp_pose_measured", 6, lambda r: r.tcp_pose),
@@ -247,7 +220,7 @@ class RobotReportReceiver(LeafSystem):
             (
                 "carried_objects",
                 len(path.objects),
-                lambda r: read_carried_objects(r, path, gripper_output),
+                lambda r: find_carried_objects(r, path),
             ),
             ("products_placed", 1, lambda r: [max(r.products_placed, 0)]),
             (
@@ -264,7 +237,11 @@ class RobotReportReceiver(LeafSystem):
 
     def _make_calc(self, read):
         def calc(context: Context, output: BasicVector) -> None:
-            output.SetFromVector(read(self._report.Eval(context)))
+            values = read(self._report.Eval(context))
+            if len(values) != output.size():
+                # As of a robot with another number of joints, or of none yet.
+                values = np.full(output.size(), np.nan)
+            output.SetFromVector(values)
 
         return calc
 

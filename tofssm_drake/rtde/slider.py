@@ -123,6 +123,10 @@ class SliderConfig(SliderSettings):
     # The safety law's fraction of the reduced state.
     reduced_fraction: float = 0.5
 
+    # The robot reports where its slider is. If not, the arm's speed alone shows
+    # whether it obeys.
+    has_echo: bool = True
+
     # How fast the arm must follow the slider.
     arm: ArmConfig = dc.field(default_factory=ArmConfig)
 
@@ -256,7 +260,7 @@ def step_slider(
     """
     if report.sequence < 0 or report.sequence == state.command.sequence:
         return state
-    echo = _read_echo(config, report)
+    echo = _read_echo(config, state, report)
     if report.session != state.session or state.count == 0:
         state = _begin_session(config, state, echo)
     now = _Now(
@@ -318,8 +322,11 @@ class _Choice:
     healthy: float
 
 
-def _read_echo(config, report):
+def _read_echo(config, state, report):
     """Returns where the slider is; NaN if that is impossible."""
+    if not config.has_echo:
+        # Where it was set; `step_arm` judges whether that is true.
+        return 0.0 if math.isnan(state.fraction) else state.fraction
     echo = report.target_speed_fraction
     if -config.tolerance <= echo <= 1.0 + config.tolerance:
         return echo
@@ -494,7 +501,7 @@ def find_operator_limit(config: SliderConfig, echo: float) -> float | None:
     """
     if config.operator_limit is not None:
         return config.operator_limit
-    if not config.yield_to_operator:
+    if not (config.yield_to_operator and config.has_echo):
         return 1.0
     if not 0.0 < echo <= 1.0 + config.tolerance:
         return None
@@ -555,7 +562,7 @@ def _is_within(value, values, tolerance):
 def _describe(config, state, now, choice, arm_problem, cause):
     """Returns phase and reason."""
     report, target = now.report, choice.target
-    echo = report.target_speed_fraction
+    echo = report.target_speed_fraction if config.has_echo else now.echo
     if choice.fault:
         reason = arm_problem or (
             f"slider does not obey: at {echo:.2f}, not {state.fraction:.2f}"

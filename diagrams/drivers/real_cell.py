@@ -1,6 +1,8 @@
-"""The driver of a real cell: its robot over RTDE, its rings over their link."""
+"""What every driver of a real cell has: rings, and how its robot is watched."""
 
 import dataclasses as dc
+
+import numpy as np
 
 from tofssm_drake.errors import require
 from tofssm_drake.ringlink.ring_address import (
@@ -10,24 +12,23 @@ from tofssm_drake.ringlink.ring_address import (
     require_distinct,
 )
 from tofssm_drake.ringlink.ring_receiver import RingLinkConfig
+from tofssm_drake.robots.driver import DriverTraits, ProgressReport, Tap
+from tofssm_drake.robots.robot_connection import RobotConnection
 from tofssm_drake.rtde.robot_checks import RobotChecks
-from tofssm_drake.rtde.rtde_config import RtdeConfig
 from tofssm_drake.rtde.slider import SliderSettings
+from tofssm_drake.tasks.path import ProgramPath
 
 VIRTUAL = "virtual"
 """In place of addresses: the rings are simulated around the real robot."""
 
 
 @dc.dataclass(kw_only=True)
-class Rtde:
-    """A real robot, or a simulated controller, and rings; `tofssm hardware`."""
+class RealCell:
+    """Settings of a cell for `tofssm hardware`, whatever its robot's brand.
 
-    # The robot's controller: host, port, registers, times.
-    robot: RtdeConfig = dc.field(default_factory=RtdeConfig)
-
-    # Digital output that closes the gripper: 0-7 standard, 8-15 configurable,
-    # 16-17 tool.
-    gripper_output: int = 0
+    A kind of driver is derived from it and adds what `Driver`
+    (`tofssm_drake/robots/driver.py`) has, and its own settings.
+    """
 
     # The robot must start this close to the task's path, rad.
     max_deviation: float = 0.5
@@ -48,6 +49,28 @@ class Rtde:
 
     # How the rings' frames are received.
     ring_link: RingLinkConfig = dc.field(default_factory=RingLinkConfig)
+
+    @property
+    def writes(self) -> bool:
+        """Whether the settings allow to write to the robot."""
+        return True
+
+    @property
+    def traits(self) -> DriverTraits:
+        """See `Driver`."""
+        raise NotImplementedError
+
+    def open(
+        self, *, write: bool = True, tap: Tap | None = None
+    ) -> RobotConnection:
+        """See `Driver`."""
+        raise NotImplementedError
+
+    def find_carried_objects(
+        self, report: ProgressReport, path: ProgramPath
+    ) -> np.ndarray:
+        """See `Driver`."""
+        raise NotImplementedError
 
     @property
     def is_virtual(self) -> bool:
@@ -76,15 +99,9 @@ class Rtde:
 
     def check(self, where: str) -> None:
         """Raises UserError unless every setting is within its limits."""
-        self.robot.check(f"{where}.robot")
         self.slider.check(f"{where}.slider")
         self.checks.check(f"{where}.checks")
         self.ring_link.check(f"{where}.ring_link")
-        require(
-            0 <= self.gripper_output <= 17,
-            f"{where}.gripper_output: must be from 0 to 17, got "
-            f"{self.gripper_output}",
-        )
         require(
             0.0 < self.max_deviation <= 10.0,
             f"{where}.max_deviation: must be more than 0 and at most 10 rad, "

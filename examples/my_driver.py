@@ -1,0 +1,171 @@
+"""A driver of one's own, and a toy controller to try it on.
+
+The controller sends a line of JSON a hundred times a second and takes lines
+with a speed fraction. Start it, then the monitor, in two terminals:
+
+python examples/my_driver.py
+tofssm hardware --scenario-file examples/my_driver.yaml --scenario-name Panda
+"""
+
+import json
+from pathlib import Path
+import socket
+import threading
+import time
+
+import numpy as np
+from pydrake.math import RotationMatrix
+
+from tofssm_drake.arms.cell_plant import make_cell_plant
+from tofssm_drake.arms.kinematics import ArmKinematics
+from tofssm_drake.diagrams.scenario import load_scenario
+from tofssm_drake.diagrams.tasks import make_task_path
+from tofssm_drake.robots import (
+    DriverTraits,
+    LinkClient,
+    RobotMode,
+    RobotReport,
+    RuntimeState,
+    SafetyMode,
+    read_carried_objects,
+)
+
+RATE = 100.0
+
+
+class Toy:
+    """What the scenario's factory returns, see `Driver`."""
+
+    traits = DriverTraits(name="the toy controller")
+
+    def __init__(self, host="127.0.0.1", port=5600):
+        self.address = (host, port)
+
+    def open(self, *, write=True, tap=None):
+        """Connects, again and again; closing sets the fraction to 0."""
+        return LinkClient(
+            lambda: ToyLink(self.address),
+            where="{}:{}".format(*self.address),
+            write=write,
+        )
+
+    def find_carried_objects(self, report, path):
+        """Returns where the objects are; this robot has no gripper."""
+        return read_carried_objects(report, path)
+
+
+class ToyLink:
+    """One connection, see `RobotLink`."""
+
+    frequency = RATE
+
+    def __init__(self, address):
+        self._socket = socket.create_connection(address, timeout=2.0)
+        self._socket.settimeout(0.1)  # A robot that is silent is lost.
+        self._lines = self._socket.makefile("rb")
+
+    def read(self):
+        """Returns the next report: translates the brand's words."""
+        line = self._lines.readline()
+        if not line:
+            raise OSError("the controller hung up")
+        said = json.loads(line)
+        playing = said["program"] == "runs"
+        stopped = said["emergency_stop"]
+        return RobotReport(
+            timestamp=said["time"],
+            position=np.array(said["q"]),
+            velocity=np.array(said["qd"]),
+            tcp_pose=np.array(said["tool"]),
+            tcp_offset=np.array(said["tool_in_flange"]),
+            target_speed_fraction=said["fraction"],
+            robot_mode=RobotMode.RUNNING,
+            safety_mode=SafetyMode.ROBOT_EMERGENCY_STOP
+            if stopped
+            else SafetyMode.NORMAL,
+            runtime_state=RuntimeState.PLAYING
+            if playing
+            else RuntimeState.STOPPED,
+        )
+
+    def write(self, command):
+        """Sends a sign of life, and the fraction if it is to be set."""
+        said = {"heartbeat": command.heartbeat}
+        if command.mask:
+            said["fraction"] = command.speed_fraction
+        self._socket.sendall(json.dumps(said).encode() + b"\n")
+
+    def close(self):
+        """Ends the connection."""
+        self._lines.close()
+        self._socket.close()
+
+
+class ToyController:
+    """Runs the scenario's task at its speed fraction; one client at a time."""
+
+    def __init__(self, scenario, port=0):
+        arm = scenario.robot
+        self.kinematics = ArmKinematics.from_plant(make_cell_plant(arm=arm))
+        self.path = make_task_path(scenario.task, self.kinematics, arm)
+        self.path_time = self.time = self.speed = 0.0
+        self.commanded = [1.0]  # All fractions so far.
+        self.server = socket.create_server(("127.0.0.1", port))
+        self.server.settimeout(0.2)
+
+    def run(self, is_stopped=lambda: False):
+        """Serves until it is to stop."""
+        while not is_stopped():
+            try:
+                client, _ = self.server.accept()
+            except TimeoutError:
+                continue
+            client.settimeout(None)
+            threading.Thread(target=self._listen, args=[client.dup()]).start()
+            try:
+                while not is_stopped():
+                    client.sendall(json.dumps(self.step()).encode() + b"\n")
+                    time.sleep(1.0 / RATE)
+            except OSError:
+                pass  # The client has gone.
+            client.close()
+        self.server.close()
+
+    def _listen(self, client):
+        with client, client.makefile("rb") as lines:
+            for line in lines:
+                if "fraction" in (said := json.loads(line)):
+                    self.commanded.append(said["fraction"])
+
+    def step(self):
+        """Advances by one cycle and returns what to say."""
+        change = np.clip(self.commanded[-1] - self.speed, -0.05, 0.05)
+        self.speed += change
+        self.time += 1.0 / RATE
+        self.path_time += self.speed / RATE
+        done = self.path_time >= self.path.duration
+        q, qd, _ = self.path.calc_motion(self.path_time)
+        X_AT, X_BA = np.eye(4), np.eye(4)
+        X_AT[:3] = self.kinematics.X_AS[-1]
+        X_BA[:3] = self.kinematics.calc_link_poses_in_base(q)[-1]
+        return {
+            "time": self.time,
+            "q": q.tolist(),
+            "qd": (self.speed * qd).tolist(),
+            "tool": make_vector(X_BA @ X_AT),
+            "tool_in_flange": make_vector(X_AT),
+            "fraction": self.commanded[-1],
+            "program": "ended" if done else "runs",
+            "emergency_stop": False,
+        }
+
+
+def make_vector(X):
+    """Returns a pose (4, 4) as position and rotation vector."""
+    turn = RotationMatrix(X[:3, :3]).ToAngleAxis()
+    return [*X[:3, 3], *(turn.angle() * turn.axis())]
+
+
+if __name__ == "__main__":
+    file = Path(__file__).with_name("my_driver.yaml")
+    ToyController(load_scenario(filename=file, name="Panda"), port=5600).run()
