@@ -7,6 +7,7 @@ python examples/my_driver.py
 tofssm hardware --scenario-file examples/my_driver.yaml --scenario-name Panda
 """
 
+import contextlib
 import json
 from pathlib import Path
 import socket
@@ -31,6 +32,8 @@ from tofssm_drake.robots import (
 )
 
 RATE = 100.0
+PROGRAM = {"runs": RuntimeState.PLAYING, "ended": RuntimeState.STOPPED}
+SILENCE = 0.1  # A robot without a report for so long is lost, s.
 
 
 class Toy:
@@ -43,10 +46,9 @@ class Toy:
 
     def open(self, *, write=True, tap=None):
         """Connects, again and again; closing sets the fraction to 0."""
+        where = "{}:{}".format(*self.address)
         return LinkClient(
-            lambda: ToyLink(self.address),
-            where="{}:{}".format(*self.address),
-            write=write,
+            lambda: ToyLink(self.address), where=where, write=write
         )
 
     def find_carried_objects(self, report, path):
@@ -61,7 +63,7 @@ class ToyLink:
 
     def __init__(self, address):
         self._socket = socket.create_connection(address, timeout=2.0)
-        self._socket.settimeout(0.1)  # A robot that is silent is lost.
+        self._socket.settimeout(SILENCE)
         self._lines = self._socket.makefile("rb")
 
     def read(self):
@@ -70,8 +72,6 @@ class ToyLink:
         if not line:
             raise OSError("the controller hung up")
         said = json.loads(line)
-        playing = said["program"] == "runs"
-        stopped = said["emergency_stop"]
         return RobotReport(
             timestamp=said["time"],
             position=np.array(said["q"]),
@@ -79,13 +79,10 @@ class ToyLink:
             tcp_pose=np.array(said["tool"]),
             tcp_offset=np.array(said["tool_in_flange"]),
             target_speed_fraction=said["fraction"],
+            # This robot has neither modes nor a safety system.
             robot_mode=RobotMode.RUNNING,
-            safety_mode=SafetyMode.ROBOT_EMERGENCY_STOP
-            if stopped
-            else SafetyMode.NORMAL,
-            runtime_state=RuntimeState.PLAYING
-            if playing
-            else RuntimeState.STOPPED,
+            safety_mode=SafetyMode.NORMAL,
+            runtime_state=PROGRAM[said["program"]],
         )
 
     def write(self, command):
@@ -120,20 +117,15 @@ class ToyController:
                 client, _ = self.server.accept()
             except TimeoutError:
                 continue
-            client.settimeout(None)
             threading.Thread(target=self._listen, args=[client.dup()]).start()
-            try:
+            with client, contextlib.suppress(OSError):  # Until it has gone.
                 while not is_stopped():
                     client.sendall(json.dumps(self.step()).encode() + b"\n")
                     time.sleep(1.0 / RATE)
-            except OSError:
-                pass  # The client has gone.
-            client.close()
-        self.server.close()
 
     def _listen(self, client):
-        with client, client.makefile("rb") as lines:
-            for line in lines:
+        with client, contextlib.suppress(OSError):
+            for line in client.makefile("rb"):
                 if "fraction" in (said := json.loads(line)):
                     self.commanded.append(said["fraction"])
 
@@ -156,7 +148,6 @@ class ToyController:
             "tool_in_flange": make_vector(X_AT),
             "fraction": self.commanded[-1],
             "program": "ended" if done else "runs",
-            "emergency_stop": False,
         }
 
 

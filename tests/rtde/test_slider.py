@@ -98,6 +98,48 @@ class TestStart(unittest.TestCase):
         self.assertIs(again, first)
 
 
+class TestWithoutEcho(unittest.TestCase):
+    """A brand that does not report its fraction, and one that should."""
+
+    def run_blind(self, *, has_echo, speed=0.0, wanted=1.0):
+        robot = Robot(slider=math.nan)
+        robot.obeys = False
+        robot.speed = speed
+        config = mut.SliderConfig(has_echo=has_echo)
+        states = run(robot, 1.0, cycles=200, config=config)
+        robot.speed = 1.0 if speed == 0.0 else speed
+        return states + run(
+            robot, wanted, cycles=200, state=states[-1], config=config
+        )
+
+    def test_an_echo_that_is_missing_is_a_fault(self):
+        states = self.run_blind(has_echo=True)
+        self.assertEqual({s.phase for s in states}, {SliderPhase.FAULT})
+        self.assertEqual({s.command.speed_fraction for s in states}, {0.0})
+
+    def test_where_there_is_none_the_arm_is_followed(self):
+        states = self.run_blind(has_echo=False)
+        self.assertEqual(states[0].command.speed_fraction, 0.0)
+        self.assertEqual(states[199].command.speed_fraction, 1.0)
+        self.assertEqual(states[-1].phase, SliderPhase.FOLLOWING)
+
+    def test_an_arm_that_does_not_slow_is_a_fault(self):
+        states = self.run_blind(has_echo=False, wanted=0.0)
+        self.assertEqual(states[-1].phase, SliderPhase.FAULT)
+        self.assertIn("arm does not slow", states[-1].reason)
+        beats = {s.command.heartbeat for s in states[-50:]}
+        self.assertEqual(len(beats), 1)
+
+    def test_an_arm_that_already_moves_is_stopped_first(self):
+        """It is not confirmed at rest, so nothing rises."""
+        states = self.run_blind(has_echo=False, speed=1.0)
+        self.assertEqual({s.command.speed_fraction for s in states}, {0.0})
+
+    def test_nobody_limits_it(self):
+        config = mut.SliderConfig(has_echo=False)
+        self.assertEqual(mut.find_operator_limit(config, math.nan), 1.0)
+
+
 class TestFollowing(unittest.TestCase):
     def test_mask_only_where_needed(self):
         robot = Robot(delay=2)

@@ -36,6 +36,29 @@ class TestMessages(unittest.TestCase):
             run(["simulated-rings", "--pty", "--robot-port", "1"])
         self.assertEqual(err.getvalue(), f"robot: {problem}\n")
 
+    def test_a_task_out_of_reach_says_what_to_do(self):
+        err = io.StringIO()
+        with contextlib.redirect_stderr(err):
+            code = run(["simulated-ur", "--model", "ur5e", "--port", "0"])
+        self.assertEqual(code, 2)
+        (line,) = err.getvalue().splitlines()
+        self.assertIn("out of the robot's reach; the task must fit", line)
+        self.assertIn("examples/my_arm.yaml --scenario-name UR5e", line)
+
+    def test_another_brand_has_no_simulated_ur(self):
+        err = io.StringIO()
+        with contextlib.redirect_stderr(err):
+            code = run(
+                [
+                    *("simulated-ur", "--scenario-text"),
+                    "{driver: !CustomDriver "
+                    "{factory: 'examples.my_driver:Toy'}}",
+                ]
+            )
+        self.assertEqual(code, 2)
+        (line,) = err.getvalue().splitlines()
+        self.assertIn("!CustomDriver is another brand's", line)
+
 
 class TestInterrupt(unittest.TestCase):
     def test_while_kernels_are_compiled(self):

@@ -49,8 +49,8 @@ _READABLE = (4, 5)
 
 _RUN, _TICK, _MONITOR = "/run", "/tick", "/monitor"
 _BYTES = {
-    "/robot/received": "RTDE packages, one per message",
-    "/robot/sent": "RTDE packages, one per message",
+    "/robot/received": "the robot's packages, one per message",
+    "/robot/sent": "packages to the robot, one per message",
     "/rings/received": "ring frames as they came: datagrams or serial bytes",
 }
 
