@@ -29,6 +29,7 @@ from tofssm_drake.diagrams.sensors import (
 from tofssm_drake.diagrams.tasks import Task
 from tofssm_drake.diagrams.yaml_check import (
     check_yaml,
+    find_kind,
     get_children,
     parse_yaml,
 )
@@ -422,11 +423,7 @@ def _keep_kinds(node, settings):
         is_one_of_many = isinstance(settings, dict) or typing.get_origin(
             typing.get_type_hints(type(settings)).get(key)
         ) in (types.UnionType, typing.Union)
-        if (
-            is_one_of_many
-            and dc.is_dataclass(now)
-            and not child.tag.startswith("!")
-        ):
+        if is_one_of_many and dc.is_dataclass(now) and not find_kind(child):
             child.tag = f"!{type(now).__name__}"
         _keep_kinds(child, now)
 

@@ -182,8 +182,8 @@ def check_yaml(
         if schema is None:
             return
         origin = typing.get_origin(schema)
-    elif _find_kind(node):
-        _fail(node, source, where, f"takes no kind, but has {_find_kind(node)}")
+    elif find_kind(node):
+        _fail(node, source, where, f"takes no kind, but has {find_kind(node)}")
     if dc.is_dataclass(schema):
         _check_settings(node, schema, source, where, kinds)
     elif origin is list or schema is np.ndarray:
@@ -204,22 +204,19 @@ def _fail(node, source, where, problem) -> NoReturn:
     raise UserError(f"{source}:{line}: {where or 'scenario'}: {problem}")
 
 
-def _find_kind(node):
-    """Returns the tag of a node that is none of YAML's own; empty: none."""
+def find_kind(node: yaml.Node) -> str:
+    """Returns a node's tag, e.g. !Ring; empty: it has none but YAML's own."""
     if node.tag.startswith("!"):
         return node.tag
-    is_map = isinstance(node, yaml.MappingNode)
-    return (
-        f"!!{node.tag.rpartition(':')[2]}"
-        if is_map and node.tag != _MAP
-        else ""
-    )
+    if isinstance(node, yaml.MappingNode) and node.tag != _MAP:
+        return f"!!{node.tag.rpartition(':')[2]}"
+    return ""
 
 
 def _check_settings(node, schema, source, where, kinds):
     """Checks a mapping that must fit a dataclass, one of these kinds."""
     if not isinstance(node, yaml.MappingNode):
-        kind = _find_kind(node)
+        kind = find_kind(node)
         hint = f"; write {kind} {{}}" if kind else ""
         _fail(node, source, where, f"must be a mapping of keys to values{hint}")
     known: dict[str, Any] = {f.name: f.type for f in dc.fields(schema)}
@@ -319,7 +316,7 @@ def _choose(node, members, source, where):
     members = [m for m in members if m is not type(None)]
     if len(members) > 1 and set(members) <= set(_SCALARS):
         return _choose_scalar(node, members, source, where)
-    if not _find_kind(node):
+    if not find_kind(node):
         return members[0]
     for member in members:
         if member.__name__ == node.tag[1:]:
@@ -329,7 +326,7 @@ def _choose(node, members, source, where):
         node,
         source,
         where,
-        f"unknown kind {_find_kind(node)}; one of {names}",
+        f"unknown kind {find_kind(node)}; one of {names}",
     )
 
 

@@ -105,7 +105,8 @@ class ToyController:
         arm = scenario.robot
         self.kinematics = ArmKinematics.from_plant(make_cell_plant(arm=arm))
         self.path = make_task_path(scenario.task, self.kinematics, arm)
-        self.path_time = self.time = self.speed = 0.0
+        self.path_time = self.speed = 0.0
+        self.time = time.monotonic()
         self.commanded = [1.0]  # All fractions so far.
         self.server = socket.create_server(("127.0.0.1", port))
         self.server.settimeout(0.2)
@@ -130,11 +131,12 @@ class ToyController:
                     self.commanded.append(said["fraction"])
 
     def step(self):
-        """Advances by one cycle and returns what to say."""
-        change = np.clip(self.commanded[-1] - self.speed, -0.05, 0.05)
-        self.speed += change
-        self.time += 1.0 / RATE
-        self.path_time += self.speed / RATE
+        """Advances to the present and returns what to say."""
+        before, self.time = self.time, time.monotonic()
+        elapsed = min(self.time - before, 5.0 / RATE)
+        change = self.commanded[-1] - self.speed
+        self.speed += np.clip(change, -5.0 * elapsed, 5.0 * elapsed)
+        self.path_time += self.speed * elapsed
         done = self.path_time >= self.path.duration
         q, qd, _ = self.path.calc_motion(self.path_time)
         X_AT, X_BA = np.eye(4), np.eye(4)

@@ -7,7 +7,6 @@ from pathlib import Path
 import signal
 import threading
 
-import numpy as np
 import pytest
 
 from tofssm_drake.diagrams import hardware_run
@@ -99,7 +98,7 @@ def test_slows_down_for_a_person_and_ends_at_zero(
             *("hardware", "--wait", 300, "--duration", 300, "--record", path),
             port=port,
         )
-    assert code == 130, err
+    assert code == 130, out + err
     assert "interrupted; slider set to 0" in out
     assert commanded[-1] == 0.0
     ticks = list(RunReader(path).read_ticks())
@@ -112,7 +111,6 @@ def test_slows_down_for_a_person_and_ends_at_zero(
 
 def test_another_robot_is_refused_before_the_rings_are_waited_for(my_driver):
     controller = make_controller(my_driver)
-    X_AS = controller.kinematics.X_AS.copy()
     step = controller.step
 
     def step_wrong():
@@ -128,7 +126,6 @@ def test_another_robot_is_refused_before_the_rings_are_waited_for(my_driver):
     assert code == 2
     assert "reported tool is 100 mm and 0.0 deg from where" in err
     assert "slider set to 0" in err
-    assert np.array_equal(X_AS, controller.kinematics.X_AS)
     assert controller.commanded[-1] == 0.0
 
 
@@ -167,8 +164,7 @@ def test_another_robot_is_refused_before_the_rings_are_waited_for(my_driver):
     ],
 )
 def test_mistakes_cost_one_line(my_driver, options, text, message):
-    for command in ("hardware",):
-        code, _, err = run_command(command, *options, port=1, text=text)
-        assert code == 2
-        (line,) = err.strip().splitlines()
-        assert message in line
+    code, _, err = run_command("hardware", *options, port=1, text=text)
+    assert code == 2
+    (line,) = err.strip().splitlines()
+    assert message in line

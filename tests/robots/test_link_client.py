@@ -143,7 +143,7 @@ def test_commands_answer_reports_of_this_connection(dut, links):
     links[0].put(5.02)
     wait(lambda: len(links) > 1)
     links[1].put(5.03)
-    after = dut.wait_for_report(after=2, timeout=120.0).sequence
+    after = get_next(dut, 0).sequence
     wait(lambda: dut.send(SliderCommand(sequence=after, mask=1)))
     assert not dut.send(SliderCommand(sequence=0, mask=1))
 
