@@ -39,7 +39,7 @@ def replay_record(reader: RunReader) -> ReplayResult:
     run = reader.run
     scenario = change_scenario(
         Scenario(),
-        yaml.safe_dump(_get_scenario(run)),
+        yaml.safe_dump(_get_scenario(run), sort_keys=False),
         source="the record",
     )
     loop = HardwareLoop(
