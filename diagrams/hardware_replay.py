@@ -9,8 +9,13 @@ from tofssm_drake.diagrams.hardware_loop import HardwareLoop, TickInput
 from tofssm_drake.diagrams.hardware_run import describe_state
 from tofssm_drake.diagrams.hardware_station import make_slider_config
 from tofssm_drake.diagrams.scenario import Scenario, change_scenario
+from tofssm_drake.errors import UserError
 from tofssm_drake.recording.run_record import RunReader, encode_json
 from tofssm_drake.rtde.arm_obedience import ArmConfig
+
+_MISSING = "missing"
+# Results that a tick of any version has.
+_ALWAYS = ("robot_state", "reason", "speed_fraction", "distance")
 
 
 @dc.dataclass(frozen=True, kw_only=True)
@@ -36,22 +41,12 @@ def replay_record(reader: RunReader) -> ReplayResult:
     Raises:
         UserError: The record's scenario cannot be used here.
     """
-    run = reader.run
-    scenario = change_scenario(
-        Scenario(),
-        yaml.safe_dump(_get_scenario(run), sort_keys=False),
-        source="the record",
-    )
-    loop = HardwareLoop(
-        scenario=scenario,
-        virtual_rings=run["virtual_rings"],
-        slider=dc.replace(
-            make_slider_config(scenario),
-            minimum_fraction=run["minimum_fraction"],
-            operator_limit=run.get("slider_limit"),
-            arm=ArmConfig(**run["arm"]),
-        ),
-    )
+    try:
+        loop = _make_loop(reader.run)
+    except (AttributeError, LookupError, TypeError) as error:
+        raise UserError(
+            f"the record: what it says of its run is incomplete: {error!r}"
+        ) from None
     ticks = differences = 0
     first, end_time = "", 0.0
     for tick in reader.read_ticks():
@@ -69,15 +64,39 @@ def replay_record(reader: RunReader) -> ReplayResult:
         state = json.loads(encode_json(describe_state(result)))
         now = state | vars(result.slider.command)
         then = tick.state | vars(tick.command)
-        changed = [name for name in then if now.get(name) != then[name]]
+        expected = now if reader.is_of_this_version else _ALWAYS
+        names = dict.fromkeys((*expected, *then))
+        changed = [n for n in names if now.get(n) != then.get(n, _MISSING)]
         if changed:
             differences += 1
             first = first or (
                 f"first at {tick.time:.3f} s: "
-                + ", ".join(f"{n} {now.get(n)}, was {then[n]}" for n in changed)
+                + ", ".join(
+                    f"{n} {now.get(n)}, was {then.get(n, _MISSING)}"
+                    for n in changed
+                )
             )
     return ReplayResult(
         ticks=ticks, end_time=end_time, differences=differences, first=first
+    )
+
+
+def _make_loop(run):
+    """Returns the loop of a record's run."""
+    scenario = change_scenario(
+        Scenario(),
+        yaml.safe_dump(_get_scenario(run), sort_keys=False),
+        source="the record",
+    )
+    return HardwareLoop(
+        scenario=scenario,
+        virtual_rings=run["virtual_rings"],
+        slider=dc.replace(
+            make_slider_config(scenario),
+            minimum_fraction=run["minimum_fraction"],
+            operator_limit=run.get("slider_limit"),
+            arm=ArmConfig(**run["arm"]),
+        ),
     )
 
 

@@ -28,6 +28,7 @@ from tofssm_drake.diagrams.sensors import (
 )
 from tofssm_drake.diagrams.tasks import Task
 from tofssm_drake.diagrams.yaml_check import (
+    MOST_CHARACTERS,
     check_yaml,
     find_kind,
     get_children,
@@ -42,6 +43,7 @@ from tofssm_drake.perception.occlusion_mask import OcclusionMaskConfig
 from tofssm_drake.perception.self_hits import SelfHitConfig
 from tofssm_drake.perception.separation import SeparationConfig
 from tofssm_drake.tasks.program import PickAndPlace
+from tofssm_drake.user_files import read_file
 
 # Systems that every station has; a person's or sensor's is called by its name.
 _SYSTEMS = (
@@ -461,7 +463,7 @@ def _dump(value, schema):
 
 def _read(filename: pathlib.Path) -> str:
     try:
-        return filename.read_text(encoding="utf-8")
+        return read_file(filename, most=4 * MOST_CHARACTERS).decode("utf-8")
     except OSError as error:
         raise UserError(
             f"{filename}: cannot read the scenarios: {error.strerror}"

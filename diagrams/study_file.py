@@ -13,10 +13,15 @@ from tofssm_drake.diagrams.scenario import (
     dump_scenario,
     load_scenario,
 )
-from tofssm_drake.diagrams.yaml_check import check_yaml, parse_yaml
+from tofssm_drake.diagrams.yaml_check import (
+    MOST_CHARACTERS,
+    check_yaml,
+    parse_yaml,
+)
 from tofssm_drake.errors import UserError, require
 from tofssm_drake.people.bvh import make_bvh_motion
 from tofssm_drake.studies.study import CellSettings, Study, StudyCell
+from tofssm_drake.user_files import read_file
 
 
 def load_study(filename: Path) -> Study:
@@ -33,7 +38,7 @@ def load_study(filename: Path) -> Study:
             range; the message says where and what would be right.
     """
     try:
-        text = filename.read_text(encoding="utf-8")
+        text = read_file(filename, most=4 * MOST_CHARACTERS).decode("utf-8")
     except OSError as error:
         raise UserError(
             f"{filename}: cannot read the study: {error.strerror}"

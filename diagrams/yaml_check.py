@@ -17,7 +17,7 @@ from typing import Any, NoReturn
 import numpy as np
 import yaml
 
-from tofssm_drake.errors import UserError
+from tofssm_drake.errors import UserError, require
 
 _SCALARS = {
     bool: ("bool",),
@@ -39,6 +39,15 @@ _DECIMAL = re.compile(r"[-+]?(0|[1-9][0-9]*|[0-9]*\.[0-9]*|[0-9.]+[eE].*)")
 _MERGE = "tag:yaml.org,2002:merge"
 _MAP = "tag:yaml.org,2002:map"
 
+# The C library's parser where PyYAML has it: ten times faster.
+_LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+
+# More than any scenario needs, and read within a second.
+_DEEPEST = 50
+_MOST_VALUES = 20_000
+MOST_CHARACTERS = 1_000_000
+"""Longest text."""
+
 
 def parse_yaml(text: str, source: str) -> yaml.MappingNode:
     """Parses a document into nodes that know their lines.
@@ -51,16 +60,19 @@ def parse_yaml(text: str, source: str) -> yaml.MappingNode:
 
     Raises:
         UserError: it is not YAML, or not a mapping, or a key is not a word or
-            occurs twice.
+            occurs twice, or it is too large.
     """
     try:
-        node = yaml.compose(text, Loader=yaml.SafeLoader)
+        _check_size(text, source)
+        node = yaml.compose(text, Loader=_LOADER)
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
-        line = f":{mark.line + 1}" if mark else ""
+        # The end of the text may be named as a line more.
+        last = max(len(text.splitlines()), 1)
+        line = f":{min(mark.line + 1, last)}" if mark else ""
         problem = error.problem or error.context or ""
-        if "expected ' '" in problem:
-            # What PyYAML says of {driver: !Rtde}.
+        if "expected whitespace" in problem or "expected ' '" in problem:
+            # What the two parsers say of {driver: !Rtde}.
             problem = "a kind needs its settings: !Kind {}"
         raise UserError(f"{source}{line}: not YAML: {problem}") from None
     except yaml.YAMLError as error:
@@ -78,31 +90,69 @@ def parse_yaml(text: str, source: str) -> yaml.MappingNode:
     return node
 
 
+def _check_size(text, source):
+    """Raises UserError if a text is too long, or nested too deep."""
+    require(
+        len(text) <= MOST_CHARACTERS,
+        f"{source}: is longer than {MOST_CHARACTERS} characters",
+    )
+    depth = values = 0
+    for event in yaml.parse(text, Loader=_LOADER):
+        depth += isinstance(event, yaml.CollectionStartEvent)
+        depth -= isinstance(event, yaml.CollectionEndEvent)
+        values += isinstance(event, yaml.NodeEvent)
+        if depth > _DEEPEST or values > _MOST_VALUES:
+            line = event.start_mark.line + 1
+            raise UserError(
+                f"{source}:{line}: nested deeper than {_DEEPEST} levels"
+                if depth > _DEEPEST
+                else f"{source}:{line}: more than {_MOST_VALUES} values"
+            )
+
+
 def _check_keys(node, source, above, done):
     """Raises UserError unless every key is a word and occurs once.
+
+    Nor may aliases and merges stand for more values than a text may have.
 
     Args:
         node: Checked with everything below it.
         source: Name of the document.
         above: The nodes around it; an alias may lead back to one of them.
-        done: Correct nodes by identity; each is checked once, however many
-        aliases lead to it. Changed.
+        done: How many values each correct node stands for, by identity; each
+            is checked once, however many aliases lead to it. Changed.
+
+    Returns:
+        How many values the node stands for.
     """
 
     def fail(place, problem):
         raise UserError(f"{source}:{place.start_mark.line + 1}: {problem}")
 
-    if isinstance(node, yaml.ScalarNode) or id(node) in done:
-        return
+    if isinstance(node, yaml.ScalarNode):
+        return 1
+    if id(node) in done:
+        return done[id(node)]
     if any(node is other for other in above):
         fail(node, "must not contain itself")
     above = [*above, node]
+    if isinstance(node, yaml.MappingNode):
+        _check_mapping_keys(node, fail)
+        children = [child for _, child in node.value]
+    else:
+        children = node.value
+    count = 1 + sum(
+        _check_keys(child, source, above, done) for child in children
+    )
+    if count > _MOST_VALUES:
+        fail(node, f"stands for more than {_MOST_VALUES} values")
+    done[id(node)] = count
+    return count
+
+
+def _check_mapping_keys(node, fail):
+    """Checks a mapping's own keys; calls `fail` with node and problem."""
     first: dict[str, int] = {}
-    if isinstance(node, yaml.SequenceNode):
-        for child in node.value:
-            _check_keys(child, source, above, done)
-        done[id(node)] = node
-        return
     for key, child in node.value:
         if not isinstance(key, yaml.ScalarNode):
             fail(key, "a key must be a word, not a mapping or list")
@@ -117,8 +167,6 @@ def _check_keys(node, source, above, done):
             parts = child.value if child.id == "sequence" else [child]
             if any(part.id != "mapping" for part in parts):
                 fail(child, f"{key.value}: must name mappings to merge")
-        _check_keys(child, source, above, done)
-    done[id(node)] = node
 
 
 def _tag_kinds(node, seen):

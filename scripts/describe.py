@@ -4,11 +4,11 @@ from pathlib import Path
 from typing import Annotated
 
 import pyarrow as pa
-import pyarrow.parquet as pq
 import typer
 
-from tofssm_drake.errors import UserError, require
+from tofssm_drake.errors import require
 from tofssm_drake.recording.columns import read_description
+from tofssm_drake.recording.tables import read_schema
 import tofssm_drake.scripts.options as options
 
 
@@ -42,20 +42,6 @@ def find_tables(run: Path) -> list[Path]:
     paths = sorted(run.glob("*.parquet")) if run.is_dir() else [run]
     require(len(paths) > 0, f"RUN: there is no table (*.parquet) in {run}")
     return paths
-
-
-def read_schema(path: Path) -> tuple[pa.Schema, int]:
-    """Returns a table's schema and its number of rows.
-
-    Raises:
-        UserError: It cannot be read.
-    """
-    try:
-        file = pq.ParquetFile(path)
-    except (OSError, pa.ArrowInvalid) as error:
-        reason = str(error).splitlines()[0]
-        raise UserError(f"{path}: cannot be read: {reason}") from error
-    return file.schema_arrow, file.metadata.num_rows
 
 
 def list_columns(schema: pa.Schema) -> list[str]:

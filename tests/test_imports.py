@@ -18,13 +18,13 @@ _FOLDERS = {
 
 _FOR_ALL = (
     *("carried_objects", "device_clock", "errors", "factory"),
-    *("kernels", "messages", "poses"),
+    *("kernels", "messages", "poses", "user_files"),
 )
 
 # What each room may use of the others.
 _MAY_USE = {
     "raycast": (),
-    "arms": ("models", "sensors"),
+    "arms": ("models", "raycast", "sensors"),
     "tasks": ("arms",),
     "people": (),
     "sensors": ("raycast",),
@@ -102,7 +102,7 @@ class TestImports(unittest.TestCase):
                     self.assertNotIn("scripts", names)
 
     def test_what_is_for_all_knows_nobody(self):
-        for room in ("errors", "kernels"):
+        for room in ("errors", "kernels", "user_files"):
             self.assertEqual(self.rooms[room], set())
         self.assertLessEqual(self.rooms["messages"], {"errors"})
 

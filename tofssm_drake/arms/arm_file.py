@@ -23,6 +23,7 @@ from pydrake.multibody.tree import (
     WeldJoint,
 )
 
+from tofssm_drake.arms.model_check import check_model
 from tofssm_drake.errors import UserError, require
 import tofssm_drake.models as models
 
@@ -141,6 +142,7 @@ def add_arm_file(plant: MultibodyPlant, file: str) -> ParsedArm:
     _add_own_package(packages, path)
     parser = Parser(plant)
     parser.package_map().AddMap(packages)
+    check_model(path, packages, file)
     before = set(plant.GetConstraintIds())
     foreign, effort = (), {}
     try:
@@ -181,6 +183,7 @@ def add_workcell_file(
     parser = Parser(plant)
     parser.SetStrictParsing()
     parser.package_map().AddMap(packages)
+    check_model(path, packages, f"{where}: {file}")
     try:
         found = parser.AddModels(str(path))
     except RuntimeError as error:

@@ -13,6 +13,7 @@ from typing import NoReturn
 import numpy as np
 
 from tofssm_drake.errors import UserError
+from tofssm_drake.user_files import MEGABYTE, read_file
 
 _CHANNELS = {
     f"{axis}{kind}": (kind, index)
@@ -22,6 +23,8 @@ _CHANNELS = {
 _LONGEST_FRAME_TIME = 1.0
 """s; a longer one is in the wrong unit."""
 
+# Hours of a recording at 120 frames a second.
+_LARGEST = 1000 * MEGABYTE
 
 _LARGEST_NUMBER = 1e9
 """No recording in any unit has a larger one, nor nan or inf."""
@@ -267,7 +270,7 @@ def read_bvh(path: str | Path) -> BvhFile:
             message names file and line.
     """
     try:
-        data = Path(path).read_bytes()
+        data = read_file(path, most=_LARGEST)
     except FileNotFoundError:
         raise UserError(f"{path}: no such file") from None
     except IsADirectoryError:

@@ -8,9 +8,10 @@ so it is read and checked here.
 
 import base64
 from collections.abc import Callable
-import json
 
 import numpy as np
+
+from tofssm_drake.user_files import decode_json
 
 _UNSIGNED = {5121: np.uint8, 5123: np.uint16, 5125: np.uint32}
 _FLOAT = {5126: np.float32}
@@ -38,7 +39,7 @@ def read_gltf(
         ValueError, LookupError, AttributeError, TypeError: If it
             violates the specification, or uses what is not supported.
     """
-    gltf = json.loads(contents)
+    gltf = decode_json(contents)
     required = gltf.get("extensionsRequired", [])
     if required:
         raise ValueError(f"it needs the extensions {', '.join(required)}")

@@ -41,6 +41,16 @@ def read_obj(contents: bytes) -> tuple[np.ndarray, np.ndarray]:
     return vertices, cut_polygons(vertices, corners, counts)
 
 
+def check_obj(contents: bytes) -> None:
+    """Checks vertices and faces.
+
+    Raises:
+        ValueError: See `read_obj`.
+    """
+    contents = _clean(contents)
+    _read_faces(contents, len(_read_vertices(contents)))
+
+
 def read_obj_vertices(contents: bytes) -> np.ndarray:
     """Returns the vertices alone, shape (v, 3).
 

@@ -8,6 +8,7 @@ than either (see `obj_file`, `gltf_file`).
 
 import dataclasses as dc
 import hashlib
+import os
 from pathlib import Path
 from urllib.parse import unquote
 
@@ -25,12 +26,19 @@ from pydrake.math import RigidTransform
 from tofssm_drake.errors import UserError
 from tofssm_drake.raycast.gltf_file import read_gltf
 from tofssm_drake.raycast.mesh_parts import check_corners, orient_faces
-from tofssm_drake.raycast.obj_file import read_obj, read_obj_vertices
+from tofssm_drake.raycast.obj_file import (
+    check_obj,
+    read_obj,
+    read_obj_vertices,
+)
 from tofssm_drake.raycast.triangle_tree import (
     TriangleTree,
     make_triangle_tree,
 )
 from tofssm_drake.raycast.vtk_file import check_vtk
+from tofssm_drake.user_files import MEGABYTE, read_file
+
+_LARGEST = 1000 * MEGABYTE
 
 
 @dc.dataclass(frozen=True, eq=False, kw_only=True)
@@ -127,6 +135,28 @@ def read_mesh(mesh: Mesh, name: str) -> TriangleMesh:
         raise UserError(f"{where} cannot be read: {reason}") from error
 
 
+def check_mesh_file(mesh: Mesh) -> None:
+    """Checks what of a mesh Drake's own readers do not bear.
+
+    Args:
+        mesh: Of a file: .obj, .gltf or .vtk.
+
+    Raises:
+        ValueError: It cannot be read, an index is not one of its vertices, a
+            number is not finite, or it refers to what is outside its folder.
+    """
+    extension = mesh.extension().lower()
+    try:
+        if extension == ".obj":
+            check_obj(_read_source(mesh.source()))
+        elif extension == ".vtk":
+            check_vtk(_read_source(mesh.source()))
+        elif extension == ".gltf":
+            _read_gltf(mesh)
+    except (AttributeError, LookupError, OSError, TypeError) as error:
+        raise ValueError(str(error)) from error
+
+
 def check_hull_source(shape, name: str) -> None:
     """Checks the file that Drake makes a convex hull of, if it is an OBJ.
 
@@ -160,10 +190,7 @@ def _read_source(source: MeshSource) -> bytes:
 
 
 def _read_file(path: Path) -> bytes:
-    # A pipe or device might never end.
-    if path.exists() and not path.is_file():
-        raise ValueError(f"'{path}' is not a file")
-    return path.read_bytes()
+    return read_file(path, most=_LARGEST)
 
 
 def _read_supporting_file(file) -> bytes:
@@ -180,7 +207,7 @@ def _read_gltf(mesh: Mesh):
 
     def load(uri: str) -> bytes:
         if source.is_path():
-            return _read_file(Path(source.path()).parent / unquote(uri))
+            return _read_file(_find_beside(Path(source.path()), unquote(uri)))
         files = source.in_memory().supporting_files
         if uri not in files:
             raise ValueError(f"its buffer '{uri}' is missing")
@@ -188,6 +215,19 @@ def _read_gltf(mesh: Mesh):
 
     vertices, faces = read_gltf(_read_source(source), load)
     return vertices * mesh.scale3(), faces
+
+
+def _find_beside(path: Path, name: str) -> Path:
+    """Returns the path of a file that belongs to another one.
+
+    Raises:
+        ValueError: It is not in that one's folder or below.
+    """
+    folder = path.parent.absolute()
+    found = Path(os.path.normpath(folder / name))
+    if not found.is_relative_to(os.path.normpath(folder)):
+        raise ValueError(f"'{name}' is outside of its folder")
+    return found
 
 
 # Only for these files: their readers take long to import.

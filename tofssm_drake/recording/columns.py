@@ -18,6 +18,7 @@ from tofssm_drake.messages import (
     RobotState,
     SensorFault,
 )
+from tofssm_drake.user_files import decode_json
 
 UNITS = ("1", "s", "m", "rad", "m/s", "rad/s", "m s", "1/min")
 """Units of the columns; "1" is dimensionless, as are counts and names. A law
@@ -268,11 +269,15 @@ def add_descriptions(
 def read_description(field: pa.Field) -> Column:
     """Returns what a field says of itself, which older ones do not."""
     said = {
-        key.decode(): value.decode()
+        key.decode(errors="replace"): value.decode(errors="replace")
         for key, value in (field.metadata or {}).items()
     }
+    try:
+        codes = decode_json(said.get("codes", "[]"))
+    except ValueError:
+        codes = []
     return Column(
         unit=said.get("unit", ""),
         meaning=said.get("meaning", ""),
-        codes=tuple(json.loads(said.get("codes", "[]"))),
+        codes=tuple(map(str, codes)) if isinstance(codes, list) else (),
     )

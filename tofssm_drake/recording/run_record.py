@@ -40,12 +40,17 @@ from tofssm_drake.messages import (
     SliderCommand,
 )
 from tofssm_drake.recording.run_schema import make_schemas
+from tofssm_drake.user_files import MEGABYTE, decode_json
 
 _MAGIC = b"\x89MCAP0\r\n"
 _FLUSH_PERIOD = 0.25
 _VERSION = 5
 # Before 5 a record does not describe its law, and has no target.
 _READABLE = (4, 5)
+# Between two ticks, s: the run ends when the robot is silent for 10 s.
+_LONGEST_GAP = 60.0
+# Of one part of the file, bytes.
+_LARGEST_PART = 100 * MEGABYTE
 
 _RUN, _TICK, _MONITOR = "/run", "/tick", "/monitor"
 _BYTES = {
@@ -121,6 +126,14 @@ def _update_scans(scans, new):
     for scan in new:
         scans[scan["ring"]] = _fill(RingScan, scan)
     return tuple(scans[i] for i in range(len(scans)))
+
+
+def _check_tick(tick, before):
+    """Raises ValueError if a tick cannot follow that of another time."""
+    if not 0.0 <= tick.time - before <= _LONGEST_GAP:
+        raise ValueError(f"its time is {tick.time:g} s")
+    if not isinstance(tick.state, dict):
+        raise ValueError("its state is not a mapping")
 
 
 @dc.dataclass(frozen=True, eq=False, kw_only=True)
@@ -467,10 +480,15 @@ class RunReader:
             )
         self.run: dict = run
 
+    @property
+    def is_of_this_version(self) -> bool:
+        """Whether a tick has all results that one has today."""
+        return self.run["version"] == _VERSION
+
     def read_ticks(self) -> Iterator[RecordedTick]:
         """Yields the ticks in order."""
         scans: dict[int, RingScan] = {}
-        end = "its beginning"
+        end, time = "its beginning", 0.0
         for values in self._read(_TICK):
             try:
                 # An older record has scans that were taken slightly earlier.
@@ -485,7 +503,9 @@ class RunReader:
                     sent=values.get("sent", math.nan),
                     busy=values["busy"],
                 )
-                after = f"{tick.time:.3f} s"
+                _check_tick(tick, time)
+                time = tick.time
+                after = f"{time:.3f} s"
             except (LookupError, TypeError, ValueError, AttributeError) as why:
                 self.is_damaged = True
                 self.problem = f"an invalid tick: {why!r}"
@@ -499,7 +519,13 @@ class RunReader:
         topics = {}
         good = 0
         with self._path.open("rb") as stream:
-            reader = StreamReader(stream, validate_crcs=wanted == _TICK)
+            # A record has no chunks, so none is decompressed.
+            reader = StreamReader(
+                stream,
+                validate_crcs=wanted == _TICK,
+                emit_chunks=True,
+                record_size_limit=_LARGEST_PART,
+            )
             try:
                 for record in reader.records:
                     if isinstance(record, mcap.records.Channel):
@@ -508,7 +534,9 @@ class RunReader:
                         isinstance(record, mcap.records.Message)
                         and topics.get(record.channel_id) == wanted
                     ):
-                        yield json.loads(record.data)
+                        yield decode_json(record.data)
+                    elif isinstance(record, mcap.records.Chunk):
+                        raise ValueError("a chunk")
                     good = stream.tell()
             except CRCValidationError:
                 self.is_damaged = True

@@ -30,9 +30,8 @@ import tempfile
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.parquet as pq
 
-from tofssm_drake.errors import UserError
+from tofssm_drake.errors import UserError, require
 from tofssm_drake.messages import LinkSignal
 from tofssm_drake.recording.columns import (
     SCAN_COLUMNS,
@@ -42,6 +41,12 @@ from tofssm_drake.recording.columns import (
     read_description,
     split_name,
 )
+from tofssm_drake.recording.tables import (
+    read_schema,
+    read_table,
+    write_table,
+)
+from tofssm_drake.user_files import decode_json
 
 _KEY = b"tofssm"
 
@@ -297,10 +302,12 @@ def read_samples(path: Path, kinds: tuple[str, ...] | None = None) -> Samples:
     path = Path(path)
     if path.is_dir():
         path = path / "samples.parquet"
-    table = _read_table(path, kinds)
+    table = read_table(
+        path, None if kinds is None else _list_wanted(path, kinds)
+    )
     if "t" not in table.column_names:
         raise UserError(f"{path}: not a table of samples: no column `t`")
-    metadata = json.loads((table.schema.metadata or {}).get(_KEY, b"{}"))
+    metadata = _read_metadata(path, table.schema)
     links = metadata.get("rings") or _find_links(table.column_names)
     column = {
         field.name: _from_arrow(
@@ -313,7 +320,7 @@ def read_samples(path: Path, kinds: tuple[str, ...] | None = None) -> Samples:
     if kinds is None and scans.exists():
         # Links that other sensors watch have no scans.
         rings = metadata.get("ring_geometry", samples.rings)
-        samples.scan = _split_scan_table(_read_table(scans), rings)
+        samples.scan = _split_scan_table(read_table(scans), rings)
     return samples
 
 
@@ -323,22 +330,25 @@ def _find_links(names):
     return [name.removesuffix(end) for name in names if name.endswith(end)]
 
 
-def _read_table(path, kinds=None):
+def _read_metadata(path, schema):
+    """Returns what a table says of its run."""
     try:
-        if kinds is None:
-            return pq.read_table(path)
-        file = pq.ParquetFile(path)
-        metadata = json.loads(
-            (file.schema_arrow.metadata or {}).get(_KEY, b"{}")
-        )
-        names = file.schema_arrow.names
-        links = metadata.get("rings") or _find_links(names)
-        wanted = {"t", *kinds}
-        wanted |= {f"{link}_{kind}" for link in links for kind in kinds}
-        return file.read([name for name in names if name in wanted])
-    except (OSError, pa.ArrowInvalid) as error:
-        reason = str(error).splitlines()[0]
-        raise UserError(f"{path}: cannot be read: {reason}") from error
+        metadata = decode_json((schema.metadata or {}).get(_KEY, b"{}"))
+    except ValueError as error:
+        raise UserError(f"{path}: its metadata: {error}") from None
+    require(
+        isinstance(metadata, dict),
+        f"{path}: its metadata must be a mapping",
+    )
+    return metadata
+
+
+def _list_wanted(path, kinds):
+    """Returns the names of the columns of some kinds, of every link."""
+    schema, _ = read_schema(path)
+    links = _read_metadata(path, schema).get("rings")
+    links = links or _find_links(schema.names)
+    return {"t", *kinds} | {f"{n}_{kind}" for n in links for kind in kinds}
 
 
 def _write_table(table, path):
@@ -351,7 +361,7 @@ def _write_table(table, path):
         for field in table.schema
         if not _is_measured(field.type)
     ]
-    pq.write_table(table, path, compression="zstd", use_dictionary=repeated)
+    write_table(table, path, compression="zstd", use_dictionary=repeated)
 
 
 def _is_measured(kind):

@@ -8,6 +8,7 @@
   need several runs.
 """
 
+import hashlib
 import io
 import json
 import os
@@ -15,16 +16,20 @@ from pathlib import Path
 import shutil
 
 import pyarrow as pa
-import pyarrow.parquet as pq
 
 from tofssm_drake.errors import UserError, require
 from tofssm_drake.recording.columns import add_descriptions
 from tofssm_drake.recording.samples import PARTS, write_atomically
+from tofssm_drake.recording.tables import read_table, write_table
 from tofssm_drake.studies.campaign import Plan, PlannedRun, describe_plan
 from tofssm_drake.studies.results import COLUMNS, make_row
+from tofssm_drake.user_files import MEGABYTE, decode_json, read_file
 
 _PLAN_FILE = "campaign.json"
 _SCRATCH = ".scratch"
+# With thousands of cells it has a few megabytes.
+_LARGEST_PLAN = 100 * MEGABYTE
+_DIGEST = b"digest"
 
 
 def find_difference(old, new, where: str = "") -> str | None:
@@ -132,7 +137,7 @@ def enter_folder(folder: Path, plan: Plan) -> None:
         )
         return
     try:
-        old = json.loads(path.read_text("utf-8"))
+        old = decode_json(read_file(path, most=_LARGEST_PLAN))
         difference = find_change(old, describe_plan(plan))
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise UserError(f"{path}: is not a campaign's plan: {error}") from None
@@ -191,7 +196,9 @@ def store_run(
             where / name, lambda p, content=content: p.write_bytes(content)
         )
     table = _make_table([row], run.cell)
-    write_atomically(where / "row.parquet", lambda p: pq.write_table(table, p))
+    metadata = {**(table.schema.metadata or {}), _DIGEST: _digest(row)}
+    table = table.replace_schema_metadata(metadata)
+    write_atomically(where / "row.parquet", lambda p: write_table(table, p))
 
 
 def read_rows(folder: Path, plan: Plan) -> dict[str, dict]:
@@ -204,14 +211,7 @@ def read_rows(folder: Path, plan: Plan) -> dict[str, dict]:
     for run in plan.list_runs():
         path = get_run_folder(folder, run) / "row.parquet"
         if path.exists():
-            try:
-                (rows[run.key],) = pq.read_table(path).to_pylist()
-            except (OSError, ValueError, pa.ArrowException) as error:
-                reason = str(error).splitlines()[0]
-                raise UserError(
-                    f"{path}: cannot be read ({reason}); remove it to have "
-                    "the run repeated"
-                ) from None
+            rows[run.key] = _read_row(path)
             wrong = [
                 name
                 for name, value in make_row(run, {}).items()
@@ -224,6 +224,34 @@ def read_rows(folder: Path, plan: Plan) -> dict[str, dict]:
                 "to have the run repeated",
             )
     return rows
+
+
+def _read_row(path):
+    """Returns the row of a finished run.
+
+    Raises:
+        UserError: It cannot be read, or is not as it was written.
+    """
+    remedy = "remove it to have the run repeated"
+    try:
+        table = read_table(path)
+        (row,) = table.to_pylist()
+    except UserError as error:
+        raise UserError(f"{error}; {remedy}") from None
+    except ValueError:
+        raise UserError(f"{path}: is not one row; {remedy}") from None
+    digest = (table.schema.metadata or {}).get(_DIGEST, b"")
+    require(
+        digest == _digest(row),
+        f"{path}: is not as it was written; {remedy}",
+    )
+    return row
+
+
+def _digest(row):
+    """Returns a digest of a row's values, which reveals a changed one."""
+    text = json.dumps(row, sort_keys=True, default=repr)
+    return hashlib.sha256(text.encode()).hexdigest().encode()
 
 
 def _make_table(rows, cell):
@@ -241,6 +269,6 @@ def write_results(folder: Path, plan: Plan, results: list[dict]) -> Path:
     path = Path(folder) / "results.parquet"
     table = _make_table(results, plan.cells[0])
     buffer = io.BytesIO()
-    pq.write_table(table, buffer)
+    write_table(table, buffer)
     write_atomically(path, lambda p: p.write_bytes(buffer.getvalue()))
     return path
