@@ -62,8 +62,8 @@ def replay_record(reader: RunReader) -> ReplayResult:
         end_time = tick.time
         # As it would have been written: a number that is none is null.
         state = json.loads(encode_json(describe_state(result)))
-        now = state | vars(result.slider.command)
-        then = tick.state | vars(tick.command)
+        now = state | _name_command(result.slider.command)
+        then = tick.state | _name_command(tick.command)
         expected = now if reader.is_of_this_version else _ALWAYS
         names = dict.fromkeys((*expected, *then))
         changed = [n for n in names if now.get(n) != then.get(n, _MISSING)]
@@ -79,6 +79,11 @@ def replay_record(reader: RunReader) -> ReplayResult:
     return ReplayResult(
         ticks=ticks, end_time=end_time, differences=differences, first=first
     )
+
+
+def _name_command(command):
+    """Returns a command's values by name, none like that of a result."""
+    return {f"command.{name}": v for name, v in vars(command).items()}
 
 
 def _make_loop(run):

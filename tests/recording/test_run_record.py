@@ -1,5 +1,6 @@
 import dataclasses as dc
 import json
+import math
 from pathlib import Path
 import resource
 import tempfile
@@ -9,6 +10,7 @@ from unittest import mock
 
 import jsonschema
 from mcap.reader import make_reader
+from mcap.writer import Writer
 import numpy as np
 
 from tofssm_drake.errors import UserError
@@ -378,6 +380,40 @@ class TestRunRecord(unittest.TestCase):
             while not list(mut.RunReader(self.path).read_ticks()):
                 self.assertLess(time.monotonic(), deadline)
                 time.sleep(0.01)
+
+    def test_times_that_jump_are_refused(self):
+        """A replay would otherwise simulate all the time between."""
+        for jump in (1e6, -1.0, math.nan, math.inf):
+            with mut.RunRecorder(self.path, RUN) as recorder:
+                recorder.add_tick(make_tick(0, ()))
+                recorder.add_tick(dc.replace(make_tick(1, ()), time=jump))
+            reader = mut.RunReader(self.path)
+            with self.subTest(jump=jump):
+                self.assertEqual(len(list(reader.read_ticks())), 1)
+                self.assertTrue(reader.is_damaged)
+                self.assertIn("an invalid tick", reader.problem)
+
+    def test_chunks_are_not_unpacked(self):
+        """A record has none; a small one may hold gigabytes."""
+        with self.path.open("wb") as file:
+            writer = Writer(file)
+            writer.start()
+            channel = writer.register_channel(
+                topic="/run", message_encoding="json", schema_id=0
+            )
+            writer.add_message(channel, 0, b" " * 10_000_000, 0)
+            writer.finish()
+        with self.assertRaisesRegex(UserError, "not a record"):
+            mut.RunReader(self.path)
+
+    def test_values_nested_too_deep(self):
+        self.write(1)
+        data = self.path.read_bytes()
+        with mock.patch.object(mut, "encode_json", lambda _: b"[" * 100_000):
+            self.write(1)
+        with self.assertRaisesRegex(UserError, "not a record"):
+            mut.RunReader(self.path)
+        self.assertNotEqual(data, self.path.read_bytes())
 
     def test_what_is_no_record(self):
         with self.assertRaisesRegex(UserError, "cannot read"):

@@ -1,6 +1,7 @@
 """`tofssm hardware` on a simulated robot, over real sockets."""
 
 import contextlib
+import dataclasses as dc
 import io
 import itertools
 import json
@@ -23,6 +24,7 @@ from tofssm_drake.arms.cell_plant import make_cell_plant
 from tofssm_drake.arms.kinematics import ArmKinematics
 from tofssm_drake.diagrams import hardware_run
 from tofssm_drake.diagrams.hardware_loop import HardwareLoop
+from tofssm_drake.diagrams.hardware_replay import replay_record
 from tofssm_drake.diagrams.hardware_run import require_ready
 from tofssm_drake.diagrams.scenario import load_scenario
 from tofssm_drake.errors import UserError
@@ -105,6 +107,13 @@ def run_replay(path):
     with contextlib.redirect_stdout(out):
         code = run(["replay", str(path)])
     return code, out.getvalue()
+
+
+def _leave_out(state, gone):
+    """Returns a tick's results without one of them, or without any."""
+    if gone == "everything":
+        return {}
+    return {name: value for name, value in state.items() if name != gone}
 
 
 class TestHardware(unittest.TestCase):
@@ -244,8 +253,39 @@ class TestHardware(unittest.TestCase):
         self.assertEqual(code, 0)
         self.assertIn("all states as recorded", out)
         self.assertIn("the record is incomplete: it ends within a record", out)
-        path.write_bytes(data.replace(b'"heartbeat":20', b'"heartbeaT":20'))
+        path.write_bytes(
+            re.sub(rb'"heartbeat":([1-9])', rb'"heartbeaT":\1', data)
+        )
         self.assertEqual(run_replay(path)[0], 1)
+        path.write_bytes(data)
+        self.check_missing_results(RunReader(path))
+        self.check_missing_settings(RunReader(path))
+
+    def check_missing_results(self, reader):
+        """A result that is not there is a difference, of any version."""
+        ticks = list(reader.read_ticks())[:4]
+        for is_new, gone in itertools.product(
+            (True, False), ("robot_state", "speed_fraction", "everything")
+        ):
+            cut = [
+                dc.replace(t, state=_leave_out(t.state, gone)) for t in ticks
+            ]
+            with (
+                self.subTest(is_new=is_new, gone=gone),
+                mock.patch.object(reader, "read_ticks", lambda cut=cut: cut),
+                mock.patch.object(RunReader, "is_of_this_version", is_new),
+            ):
+                result = replay_record(reader)
+                self.assertEqual(result.differences, len(cut))
+                self.assertIn("was missing", result.first)
+
+    def check_missing_settings(self, reader):
+        for name in ("virtual_rings", "minimum_fraction", "arm", "scenario"):
+            with self.subTest(name=name):
+                value = reader.run.pop(name)
+                with self.assertRaisesRegex(UserError, f"record: .*{name}"):
+                    replay_record(reader)
+                reader.run[name] = value
 
     def test_dry_run_writes_nothing(self):
         path = self.folder / "run.mcap"
