@@ -28,8 +28,10 @@ from tofssm_drake.people.bvh import BvhRecording, make_bvh_motion
 from tofssm_drake.scripts.cluster import call_all, connect
 from tofssm_drake.studies.campaign import CellT, Plan, PlannedRun
 from tofssm_drake.studies.campaign_folder import (
+    check_folder,
     enter_folder,
     get_scratch,
+    lock_folder,
     open_folder,
     read_rows,
     store_run,
@@ -98,9 +100,10 @@ def run_and_report(
         workers is None or 1 <= workers <= 1000,
         f"--workers: {workers} must be from 1 to 1000",
     )
-    enter_folder(campaign.out, campaign.plan)
+    check_folder(campaign.out, campaign.plan)
     try:
-        with interrupt_on_sigterm():
+        with interrupt_on_sigterm(), lock_folder(campaign.out):
+            enter_folder(campaign.out, campaign.plan)
             failures = run_campaign(campaign, scheduler, workers)
             report = write_all(campaign, failures)
     except KeyboardInterrupt:

@@ -10,6 +10,7 @@ from typing import Any
 
 import dask
 from distributed import Client, LocalCluster, as_completed
+from distributed.security import Security
 
 from tofssm_drake.diagrams.run_metadata import get_versions
 from tofssm_drake.errors import UserError
@@ -24,6 +25,11 @@ _SETTINGS = {
     # A worker that dies loses its own run and no other.
     "distributed.scheduler.allowed-failures": 1,
 }
+# On this machine there is nothing to look at over HTTP.
+_NO_PAGES = {
+    "distributed.scheduler.http.routes": [],
+    "distributed.worker.http.routes": [],
+}
 
 
 @contextlib.contextmanager
@@ -36,8 +42,9 @@ def connect(
     """Connects to a cluster for the duration of a `with`.
 
     Args:
-        scheduler: Address of a Dask scheduler, e.g. tcp://10.0.0.1:8786;
-            None starts worker processes on this machine, and ends them.
+        scheduler: Address of a Dask scheduler, e.g. tls://10.0.0.1:8786, for
+            which Dask's configuration has the certificates; None starts worker
+            processes on this machine, and ends them.
         workers: Number of these processes; None: one per core.
         scratch: Folder for what these processes need while they run; removed
             afterwards.
@@ -54,13 +61,16 @@ def connect(
         if scheduler is None:
             with (
                 _make_scratch(scratch) as folder,
-                dask.config.set(temporary_directory=folder),
+                dask.config.set(temporary_directory=folder, **_NO_PAGES),
                 LocalCluster(
                     n_workers=workers or len(os.sched_getaffinity(0)),
                     threads_per_worker=1,
                     processes=True,
-                    # Reachable from this machine only, at any free port.
+                    # Reachable from this machine only, at any free port, and
+                    # only with the key that was made for this campaign: who
+                    # can talk to a scheduler can run any code.
                     host="127.0.0.1",
+                    security=Security.temporary(),
                     dashboard_address="127.0.0.1:0",
                     silence_logs=logging.CRITICAL,
                     # A killed process cannot tidy up: what it leaves is in the

@@ -3,6 +3,8 @@
 import json
 import math
 from pathlib import Path
+import subprocess
+import sys
 import tempfile
 import unittest
 
@@ -59,6 +61,54 @@ class TestFolder(unittest.TestCase):
             self.assertIn(message, text)
             self.assertIn("another campaign", text)
             self.assertNotIn("\n", text)
+
+    def test_one_campaign_at_a_time(self):
+        holder = (
+            "import sys, tofssm_drake.studies.campaign_folder as mut\n"
+            "with mut.lock_folder(sys.argv[1]):\n"
+            "    print(flush=True)\n"
+            "    sys.stdin.read()\n"
+        )
+        with subprocess.Popen(
+            [sys.executable, "-c", holder, self.folder],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+        ) as process:
+            process.stdout.readline()
+            with self.assertRaises(UserError) as caught:
+                mut.lock_folder(self.folder).__enter__()
+            process.kill()
+        self.assertRegex(
+            str(caught.exception),
+            rf"used by another campaign, process {process.pid} on .* since .*;"
+            " wait for it, or give another folder",
+        )
+        # What a kill leaves does not stand in the way.
+        self.assertTrue((self.folder / ".lock").exists())
+        with mut.lock_folder(self.folder):
+            pass
+
+    def test_a_lock_leaves_no_empty_folder(self):
+        with mut.lock_folder(self.folder):
+            self.assertTrue(self.folder.is_dir())
+        self.assertFalse(self.folder.exists())
+        with mut.lock_folder(self.folder):
+            mut.open_folder(self.folder, make_plan())
+        self.assertTrue(self.folder.exists())
+
+    def test_an_altered_row_is_refused(self):
+        plan = make_plan(variants=["literal"])
+        run = plan.list_runs()[0]
+        mut.open_folder(self.folder, plan)
+        mut.store_run(self.folder, run, make_row(run, {"task_time_s": 3.0}), {})
+        self.assertEqual(len(mut.read_rows(self.folder, plan)), 1)
+        path = mut.get_run_folder(self.folder, run) / "row.parquet"
+        table = pq.read_table(path)
+        i = table.column_names.index("task_time_s")
+        column = [[2.0]]
+        pq.write_table(table.set_column(i, table.field(i), column), path)
+        with self.assertRaisesRegex(UserError, "not as it was written; remove"):
+            mut.read_rows(self.folder, plan)
 
     def test_what_is_no_plan(self):
         self.folder.mkdir()

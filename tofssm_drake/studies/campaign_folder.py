@@ -8,12 +8,17 @@
   need several runs.
 """
 
+from collections.abc import Iterator
+import contextlib
+import datetime
+import fcntl
 import hashlib
 import io
 import json
 import os
 from pathlib import Path
 import shutil
+import socket
 
 import pyarrow as pa
 
@@ -27,6 +32,7 @@ from tofssm_drake.user_files import MEGABYTE, decode_json, read_file
 
 _PLAN_FILE = "campaign.json"
 _SCRATCH = ".scratch"
+_LOCK = ".lock"
 # With thousands of cells it has a few megabytes.
 _LARGEST_PLAN = 100 * MEGABYTE
 _DIGEST = b"digest"
@@ -119,6 +125,56 @@ def check_folder(folder: Path, plan: Plan) -> None:
 def get_scratch(folder: Path) -> Path:
     """Returns the folder for temporary files of the processes."""
     return Path(folder) / _SCRATCH
+
+
+@contextlib.contextmanager
+def lock_folder(folder: Path) -> Iterator[None]:
+    """Keeps every other campaign out of a folder for the duration of a `with`.
+
+    The system releases the lock of a process that was killed.
+
+    Raises:
+        UserError: Another process has it, or the folder cannot be made.
+    """
+    path = Path(folder) / _LOCK
+    is_new = not path.parent.exists()
+    with _open_lock(path) as file:
+        _lock(file, folder)
+        try:
+            yield
+        finally:
+            if is_new and os.listdir(path.parent) == [_LOCK]:
+                # Nothing came of it.
+                path.unlink()
+                path.parent.rmdir()
+
+
+def _open_lock(path):
+    """Opens the file that is locked; makes its folder."""
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        return path.open("a+", encoding="utf-8")
+    except OSError as error:
+        raise UserError(
+            f"--out: cannot write into {path.parent}: {error.strerror}"
+        ) from None
+
+
+def _lock(file, folder):
+    """Locks an open file and writes into it who has the lock."""
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        file.seek(0)
+        raise UserError(
+            f"--out: {folder} is used by another campaign, "
+            f"{file.read().strip() or 'which has just started'}; wait for it, "
+            "or give another folder"
+        ) from None
+    now = datetime.datetime.now().isoformat(" ", "seconds")
+    file.truncate(0)
+    file.write(f"process {os.getpid()} on {socket.gethostname()} since {now}\n")
+    file.flush()
 
 
 def enter_folder(folder: Path, plan: Plan) -> None:
