@@ -13,7 +13,7 @@ import sys
 import tempfile
 from typing import Annotated
 
-from pydrake.geometry import Meshcat
+from pydrake.geometry import Meshcat, MeshcatParams
 from pydrake.systems.framework import Diagram
 from rich.console import Console
 from rich.progress import BarColumn, TextColumn, TimeElapsedColumn
@@ -241,12 +241,15 @@ def _choose(option, value, known):
 
 
 def make_display() -> Meshcat:
-    """Makes a Meshcat that does not write its address to stderr."""
+    """Makes a Meshcat that only this machine can reach.
+
+    It does not write its address to stderr.
+    """
     logger = logging.getLogger("drake")
     level = logger.level
     logger.setLevel(logging.WARNING)
     try:
-        return Meshcat()
+        return Meshcat(MeshcatParams(host="localhost"))
     finally:
         logger.setLevel(level)
 
