@@ -227,7 +227,11 @@ def run_missing(
         task = bar.add_task(
             "", total=total, completed=total - len(missing), speed=0.0
         )
-        for key, outcome, error in call_all(client, execute, calls):
+
+        def tell(line):
+            bar.console.print(line, markup=False, highlight=False)
+
+        for key, outcome, error in call_all(client, execute, calls, tell=tell):
             planned = by_key[key]
             if error is None:
                 store_run(campaign.out, planned, outcome.row, outcome.files)
@@ -235,11 +239,7 @@ def run_missing(
             else:
                 reason = " ".join(str(error).split()) or type(error).__name__
                 failures[planned.label] = reason
-                bar.console.print(
-                    f"failed: {planned.label}: {reason}",
-                    markup=False,
-                    highlight=False,
-                )
+                tell(f"failed: {planned.label}: {reason}")
             speed = simulated / (time.perf_counter() - start)
             bar.update(task, advance=1, speed=speed)
     return failures

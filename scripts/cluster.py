@@ -9,7 +9,8 @@ import shutil
 from typing import Any
 
 import dask
-from distributed import Client, LocalCluster, as_completed
+from distributed import CancelledError, Client, LocalCluster, wait
+from distributed.comm import CommClosedError
 from distributed.security import Security
 
 from tofssm_drake.diagrams.run_metadata import get_versions
@@ -17,6 +18,8 @@ from tofssm_drake.errors import UserError
 
 TIMEOUT = 10.0
 """How long to wait for an answer of a scheduler, s."""
+# How often to look whether workers are left, s.
+_LOOK = 2.0
 _SETTINGS = {
     # A simulation may hold Python's lock for a while; that is not a fault.
     "distributed.admin.tick.limit": "1h",
@@ -136,7 +139,11 @@ def _check_workers(client, scheduler):
 
 
 def call_all(
-    client: Client, function: Callable, calls: dict[str, tuple]
+    client: Client,
+    function: Callable,
+    calls: dict[str, tuple],
+    *,
+    tell: Callable[[str], None],
 ) -> Iterator[tuple[str, Any, BaseException | None]]:
     """Calls a function with many sets of arguments, in parallel.
 
@@ -144,10 +151,14 @@ def call_all(
         client: From `connect`.
         function: What to call; importable by the workers.
         calls: Arguments by name of the call.
+        tell: Called with a line when no worker is left, which is waited for.
 
     Yields:
         (name, result, None) or (name, None, error), as they come. Results are
         not kept.
+
+    Raises:
+        UserError: The scheduler is gone.
     """
     names = {}
     for priority, (name, arguments) in enumerate(calls.items()):
@@ -155,11 +166,32 @@ def call_all(
             function, *arguments, pure=False, priority=-priority
         )
         names[future] = name
-    for future in as_completed(list(names)):
-        name = names.pop(future)
-        error = future.exception()
-        if error is None:
-            yield name, future.result(), None
-        else:
-            yield name, None, error
-        future.release()
+    try:
+        while names:
+            for future in _wait_for_some(client, list(names), tell):
+                name = names.pop(future)
+                error = future.exception()
+                if isinstance(error, CancelledError):
+                    # Nobody cancels a run.
+                    raise error
+                result = None if error is not None else future.result()
+                future.release()
+                yield name, result, error
+    except (CancelledError, CommClosedError):
+        raise UserError(
+            f"the Dask scheduler is gone; {len(names)} runs are not finished: "
+            "run the same command again to continue"
+        ) from None
+
+
+def _wait_for_some(client, futures, tell):
+    """Returns those that are done, at least one."""
+    had_workers = True
+    while True:
+        try:
+            return wait(futures, _LOOK, return_when="FIRST_COMPLETED").done
+        except TimeoutError:
+            has_workers = bool(client.scheduler_info(0)["workers"])
+        if had_workers and not has_workers:
+            tell("no worker is left; waiting for one (Ctrl-C ends the wait)")
+        had_workers = has_workers

@@ -137,16 +137,17 @@ def lock_folder(folder: Path) -> Iterator[None]:
         UserError: Another process has it, or the folder cannot be made.
     """
     path = Path(folder) / _LOCK
-    is_new = not path.parent.exists()
+    made = [p for p in path.parents if not p.exists()]
     with _open_lock(path) as file:
         _lock(file, folder)
         try:
             yield
         finally:
-            if is_new and os.listdir(path.parent) == [_LOCK]:
+            if made and os.listdir(path.parent) == [_LOCK]:
                 # Nothing came of it.
                 path.unlink()
-                path.parent.rmdir()
+                for empty in made:
+                    empty.rmdir()
 
 
 def _open_lock(path):
