@@ -284,6 +284,17 @@ class TestRunRecord(unittest.TestCase):
                 )
             ]
 
+    def test_a_file_that_is_removed_is_reported(self):
+        """It takes what is written, and then is gone with all of it."""
+        recorder = mut.RunRecorder(self.path, RUN)
+        self.addCleanup(recorder.close)
+        self.path.unlink()
+        deadline = time.monotonic() + 300.0
+        with self.assertRaisesRegex(UserError, "the file was removed"):
+            while time.monotonic() < deadline:
+                recorder.add_tick(make_tick(0, ()))
+                time.sleep(0.01)
+
     def test_messages_keep_to_their_schemas(self):
         nothing = dc.replace(
             make_tick(0, ()), report=RobotReport(), command=SliderCommand()

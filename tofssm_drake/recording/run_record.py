@@ -17,6 +17,7 @@ arrived or were sent, and for a tick when its report arrived.
 import collections
 from collections.abc import Iterator
 import dataclasses as dc
+import errno
 import json
 import math
 import os
@@ -407,6 +408,8 @@ class RunRecorder:
         try:
             while data and self._error is None:
                 data = data[self._file.write(data) :]
+            if os.fstat(self._file.fileno()).st_nlink == 0:
+                raise OSError(errno.ENOENT, "the file was removed")
         except OSError as error:
             self._error = error
 
