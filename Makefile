@@ -6,6 +6,7 @@
 #   make false-alarms    simulates an hour without a fault and counts alarms
 #   make hardware-demo   runs the hardware command on a simulated robot
 #   make fault-table     measures how fast each fault stops that robot
+#   make fuzz    feeds 100 000 broken inputs to every parser
 #   make images          makes the pictures in docs/images again
 # With another Python, in an environment of its own:
 #   make PYTHON=python3.12 VENV=.venv312 test
@@ -30,7 +31,7 @@ CHECK_DRAKE := @$(BIN)/python -c 'import pydrake.common' 2> /dev/null || \
 	  "Drake lacks libraries" libglib2.0-0 libsm6 libx11-6
 
 .PHONY: run hardware-demo fault-table false-alarms images test bench \
-	format clean
+	format fuzz clean
 
 run: $(VENV)/.installed
 	$(BIN)/tofssm simulate --out $(OUT)
@@ -52,6 +53,10 @@ fault-table: $(VENV)/.installed-test
 
 false-alarms: $(VENV)/.installed-test
 	$(BIN)/python benchmarks/false_alarms.py
+
+fuzz: $(VENV)/.installed-test
+	$(PIP_INSTALL) --editable '.[fuzz]'
+	$(BIN)/python tests/fuzz/fuzz.py
 
 images: $(VENV)/.installed-test
 	$(BIN)/python -m tofssm_drake.scripts.draw_docs docs/images

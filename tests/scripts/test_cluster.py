@@ -75,7 +75,7 @@ def test_a_scheduler_that_is_gone_is_told(cluster):
     calls = {"a": (600.0,), "b": (600.0,)}
     results = mut.call_all(client, time.sleep, calls, tell=print)
     threading.Timer(1.0, scheduler.kill).start()
-    with pytest.raises(UserError, match="scheduler is gone; . runs are not"):
+    with pytest.raises(UserError, match="scheduler is gone; 2 runs are not"):
         next(results)
 
 

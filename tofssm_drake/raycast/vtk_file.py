@@ -23,6 +23,13 @@ def check_vtk(contents: bytes) -> None:
     words = lines[-1].split()
     if len(lines) < 3 or words[:1] != [b"ASCII"]:
         return
+    try:
+        _check_words(words)
+    except IndexError:
+        raise ValueError("it ends too early") from None
+
+
+def _check_words(words) -> None:
     points = _find_numbers(words, b"POINTS", 3, 3)
     if points is None:
         return
