@@ -22,6 +22,9 @@ import trimesh
 from tofssm_drake.arms.capsule_fit import calc_coverage, fit_capsules
 from tofssm_drake.arms.capsules import Coverage, FittedCapsule
 from tofssm_drake.errors import UserError, require
+from tofssm_drake.user_files import MEGABYTE, read_file
+
+_LARGEST = 1000 * MEGABYTE
 
 Placed = tuple[Shape, RigidTransform]
 """A shape and its pose in its body."""
@@ -69,8 +72,12 @@ def _fit_triangles(contents: bytes) -> list[FittedCapsule]:
 @functools.lru_cache(maxsize=256)
 def _read_mesh(path: pathlib.Path) -> trimesh.Trimesh:
     try:
-        mesh = trimesh.load_mesh(path)
-    except (ValueError, OSError) as error:
+        contents = io.BytesIO(read_file(path, most=_LARGEST))
+        mesh = trimesh.load_mesh(
+            contents, file_type=pathlib.Path(path).suffix.lower()[1:]
+        )
+    except Exception as error:
+        # A broken file may raise anything.
         raise UserError(f"{path}: {' '.join(str(error).split())}") from None
     require(len(mesh.faces) > 0, f"{path}: has no triangle")
     mesh.merge_vertices()

@@ -230,10 +230,8 @@ def _find_beside(path: Path, name: str) -> Path:
     return found
 
 
-# Only for these files: their readers take long to import.
-
-
 def _read_stl(mesh: Mesh):
+    # Only for such files: their reader takes long to import.
     from tofssm_drake.raycast.trimesh_files import read_stl
 
     vertices, faces = read_stl(_read_source(mesh.source()))
@@ -242,6 +240,7 @@ def _read_stl(mesh: Mesh):
 
 def _read_dae(mesh: Mesh):
     """Reads COLLADA, in its own unit of length. Its axes stay as they are."""
+    # As above.
     from tofssm_drake.raycast.trimesh_files import read_dae
 
     vertices, faces, unit = read_dae(_read_source(mesh.source()))
