@@ -1,8 +1,11 @@
 """The monitor alone, in front of rings that a test plays."""
 
+import dataclasses as dc
+
 import numpy as np
 from paper_cell import RINGS
-from pydrake.systems.analysis import Simulator
+from pydrake.systems.analysis import InitializeParams, Simulator
+from pydrake.systems.framework import Context
 
 from tofssm_drake.messages import RingScan
 
@@ -11,6 +14,16 @@ PERIOD = 0.024
 LATENCY = 0.015
 
 VALID, SIGNAL_FAIL, HARDWARE_FAIL = 0, 2, 5
+
+
+@dc.dataclass(frozen=True, kw_only=True)
+class Moment:
+    """Where a rig was, to go back to."""
+
+    context: Context
+    tick: int
+    rings: dict[str, tuple]
+    """What each ring has delivered, and is about to."""
 
 
 class Rig:
@@ -68,6 +81,35 @@ class Rig:
             self.simulator.AdvanceTo(self.tick * TICK)
             rows.append((self.tick * TICK, self.state, self.rho))
         return np.array(rows)
+
+    def save(self):
+        """Returns the present moment."""
+        return Moment(
+            context=self.context.Clone(),
+            tick=self.tick,
+            rings={
+                ring: (
+                    self.scans[ring].GetMutableData().get_value(),
+                    self.sequence[ring],
+                    self.readings[ring],
+                    self.ages[ring],
+                )
+                for ring in RINGS
+            },
+        )
+
+    def restore(self, moment):
+        """Goes back to a moment; what follows is the same, bit by bit."""
+        self.context.SetTimeStateAndParametersFrom(moment.context)
+        self.tick = moment.tick
+        for ring, (scan, sequence, readings, age) in moment.rings.items():
+            self.scans[ring].GetMutableData().set_value(scan)
+            self.sequence[ring] = sequence
+            self.readings[ring] = readings
+            self.ages[ring] = age
+        self.simulator.Initialize(
+            InitializeParams(suppress_initialization_events=True)
+        )
 
     def eval(self, name):
         return self.monitor.GetOutputPort(name).Eval(self.context)

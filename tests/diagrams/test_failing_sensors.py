@@ -18,6 +18,8 @@ from tofssm_drake.tasks.program import make_program_path
 NO_WATCH = "self_hits: {enabled: false}"
 NO_RETURN = (2, 4, 7)
 MEASURED = (0, 3, 13)
+# Those of ST's manuals, this project's own, and one that means nothing.
+KNOWN = (*range(15), 99, 240, 241, 242, 253, 254, 255)
 STOP, REDUCED, NORMAL = RobotState
 
 
@@ -73,11 +75,30 @@ class Watch(Rig):
         return self.run(PERIOD)[:, 1].max()
 
 
-def make_watch(monitor, position):
+@pytest.fixture(scope="module")
+def moments(monitor, position):
+    """Returns a watch, a moment of it in motion, and one at a stop."""
     watch = Watch(monitor, position)
     watch.run(1.0)
     assert watch.state == NORMAL
+    in_motion = watch.save()
     watch.stop()
+    return watch, in_motion, watch.save()
+
+
+@pytest.fixture
+def moving(moments):
+    """A watch of a robot that has seen nothing for a second."""
+    watch, in_motion, _ = moments
+    watch.restore(in_motion)
+    return watch
+
+
+@pytest.fixture
+def stopped(moments):
+    """A watch of a robot that its sensor has just stopped."""
+    watch, _, at_stop = moments
+    watch.restore(at_stop)
     return watch
 
 
@@ -110,8 +131,9 @@ failures = st.one_of(
     samples=st.lists(failures, min_size=1, max_size=30),
     repeats=st.integers(1, 25),
 )
-def test_no_failure_releases_a_stop(monitor, position, samples, repeats):
-    watch = make_watch(monitor, position)
+def test_no_failure_releases_a_stop(moments, samples, repeats):
+    watch, _, at_stop = moments
+    watch.restore(at_stop)
     confirmed = 0
     for sample in samples:
         is_no_return = sample[0] in NO_RETURN and sample[2] < 0.072
@@ -124,26 +146,30 @@ def test_no_failure_releases_a_stop(monitor, position, samples, repeats):
             assert watch.run_scan() == STOP, sample
 
 
-@pytest.mark.parametrize("status", range(256))
-def test_each_status_for_two_seconds(monitor, position, status):
-    watch = make_watch(monitor, position)
-    watch.tell(status, 0.4 if status in MEASURED else 1.2)
-    states = [watch.run_scan() for _ in range(round(2.0 / PERIOD))]
+@pytest.mark.parametrize(
+    "status",
+    [
+        pytest.param(s, marks=() if s in KNOWN else pytest.mark.long)
+        for s in range(256)
+    ],
+)
+def test_each_status_for_two_seconds(stopped, status):
+    stopped.tell(status, 0.4 if status in MEASURED else 1.2)
+    states = [stopped.run_scan() for _ in range(round(2.0 / PERIOD))]
     if status in NO_RETURN:
         # Two in a row, and what the filter forgets.
         assert states[0] == STOP
         assert states[-1] == NORMAL
     else:
-        assert set(states) == {STOP}, watch.decision.reason
+        assert set(states) == {STOP}, stopped.decision.reason
 
 
-def test_a_hang_is_reported(monitor, position):
-    watch = make_watch(monitor, position)
-    watch.tell(254, 0.4)
-    watch.run(0.25)
-    assert "tool at" in watch.decision.reason
-    watch.run(0.2)
-    assert watch.decision.reason == "stop: tool is faulted, sensor 0: late"
+def test_a_hang_is_reported(stopped):
+    stopped.tell(254, 0.4)
+    stopped.run(0.25)
+    assert "tool at" in stopped.decision.reason
+    stopped.run(0.2)
+    assert stopped.decision.reason == "stop: tool is faulted, sensor 0: late"
 
 
 @pytest.mark.parametrize(
@@ -159,42 +185,35 @@ def test_a_hang_is_reported(monitor, position):
     ],
 )
 def test_a_sensor_that_saw_nothing_stops_the_robot_after_0_3_s(
-    monitor, position, status, distance, cause
+    moving, status, distance, cause
 ):
-    watch = Watch(monitor, position)
-    watch.run(1.0)
-    assert watch.state == NORMAL
-    watch.tell(status, distance)
-    rows = watch.run(0.5)
+    moving.tell(status, distance)
+    rows = moving.run(0.5)
     stopped = np.flatnonzero(rows[:, 1] == STOP)
     elapsed = (stopped[0] + 1) * TICK
     # A target that cannot be measured counts from its second sample on.
     assert elapsed <= (2 * PERIOD if cause == "sigma" else 0.3 + PERIOD)
     assert (rows[stopped[0] :, 1] == STOP).all()
-    assert watch.decision.reason == f"stop: tool is faulted, sensor 0: {cause}"
+    assert moving.decision.reason == f"stop: tool is faulted, sensor 0: {cause}"
 
 
-def test_one_lost_sample_now_and_then_is_tolerated(monitor, position):
-    watch = Watch(monitor, position)
-    watch.run(1.0)
+def test_one_lost_sample_now_and_then_is_tolerated(moving):
     for status in (253, 1, 5, 254, 255):
         for _ in range(5):
-            watch.tell(status, 0.2)
-            assert watch.run_scan() == NORMAL
-            watch.tell(SIGNAL_FAIL, 4.0)
+            moving.tell(status, 0.2)
+            assert moving.run_scan() == NORMAL
+            moving.tell(SIGNAL_FAIL, 4.0)
             for _ in range(4):
-                assert watch.run_scan() == NORMAL
+                assert moving.run_scan() == NORMAL
 
 
-def test_half_of_a_ring_at_once(monitor, position):
-    watch = Watch(monitor, position)
-    watch.run(1.0)
+def test_half_of_a_ring_at_once(moving):
     status = np.full(8, SIGNAL_FAIL)
     status[:5] = 253
-    watch.readings["base"] = status, np.full(8, 0.4)
-    assert watch.run(PERIOD)[-1, 1] == STOP
+    moving.readings["base"] = status, np.full(8, 0.4)
+    assert moving.run(PERIOD)[-1, 1] == STOP
     assert (
-        watch.decision.reason
+        moving.decision.reason
         == "stop: base is faulted, sensors 0, 1, 2, 3, 4: bus"
     )
 
@@ -220,13 +239,12 @@ def test_a_sensor_declared_dead_slows_the_robot(position):
     assert watch.run(PERIOD)[-1, 1] == STOP
 
 
-def test_without_a_failure_the_robot_starts_again(monitor, position):
-    watch = make_watch(monitor, position)
-    watch.tell(SIGNAL_FAIL, 4.0)
-    assert watch.run_scan() == STOP
-    watch.run(1.0)
-    assert watch.state == NORMAL
-    assert set(RINGS) == set(watch.sequence)
+def test_without_a_failure_the_robot_starts_again(stopped):
+    stopped.tell(SIGNAL_FAIL, 4.0)
+    assert stopped.run_scan() == STOP
+    stopped.run(1.0)
+    assert stopped.state == NORMAL
+    assert set(RINGS) == set(stopped.sequence)
 
 
 SIGMA, LOST, IMPLAUSIBLE = (1, 0.2), (255, 0.2), (0, 4.0)
@@ -248,13 +266,10 @@ NOTHING = (2, 4.0)
         [(0, 1.40), *[(253, 0.2)] * 200],
     ],
 )
-def test_failures_mixed_with_good_samples_release_nothing(
-    monitor, position, pattern
-):
-    watch = make_watch(monitor, position)
+def test_failures_mixed_with_good_samples_release_nothing(stopped, pattern):
     for i in range(round(3.0 / PERIOD)):
-        watch.tell(*pattern[i % len(pattern)])
-        assert watch.run_scan() == STOP, (i, watch.decision.reason)
+        stopped.tell(*pattern[i % len(pattern)])
+        assert stopped.run_scan() == STOP, (i, stopped.decision.reason)
 
 
 @pytest.mark.parametrize(
@@ -267,46 +282,39 @@ def test_failures_mixed_with_good_samples_release_nothing(
         [SIGMA, NOTHING, NOTHING],
     ],
 )
-def test_a_sensor_that_fails_again_and_again_stops_the_robot(
-    monitor, position, pattern
-):
-    watch = Watch(monitor, position)
-    watch.run(1.0)
+def test_a_sensor_that_fails_again_and_again_stops_the_robot(moving, pattern):
     states = []
     for i in range(round(3.0 / PERIOD)):
-        watch.tell(*pattern[i % len(pattern)])
-        states.append(watch.run_scan())
+        moving.tell(*pattern[i % len(pattern)])
+        states.append(moving.run_scan())
     late = states[round(1.5 / PERIOD) :]
-    assert set(late) == {STOP}, watch.decision.reason
-    assert "sensor 0: " in watch.decision.reason
+    assert set(late) == {STOP}, moving.decision.reason
+    assert "sensor 0: " in moving.decision.reason
 
 
 @pytest.mark.parametrize("later", [0, 2, 5])
-def test_a_frozen_value_releases_nothing(monitor, position, later):
+def test_a_frozen_value_releases_nothing(moving, later):
     """It repeats before anyone knows; the speed must not be forgotten."""
-    watch = Watch(monitor, position)
-    watch.run(1.0)
     distance = 1.3
-    while watch.state != STOP:
+    while moving.state != STOP:
         distance -= 0.03
-        watch.tell(VALID, distance)
-        watch.run(PERIOD)
+        moving.tell(VALID, distance)
+        moving.run(PERIOD)
     for _ in range(later):
         distance -= 0.03
-        watch.tell(VALID, distance)
-        watch.run(PERIOD)
+        moving.tell(VALID, distance)
+        moving.run(PERIOD)
     for _ in range(25):
-        assert watch.run_scan() == STOP, watch.decision.reason
-    watch.tell(240, distance)
+        assert moving.run_scan() == STOP, moving.decision.reason
+    moving.tell(240, distance)
     for _ in range(50):
-        assert watch.run_scan() == STOP
+        assert moving.run_scan() == STOP
 
 
-def test_a_value_stuck_far_away_releases_nothing(monitor, position):
-    watch = make_watch(monitor, position)
-    watch.tell(VALID, 1.3)
+def test_a_value_stuck_far_away_releases_nothing(stopped):
+    stopped.tell(VALID, 1.3)
     for _ in range(25):
-        assert watch.run_scan() == STOP
-    watch.tell(240, 1.3)
+        assert stopped.run_scan() == STOP
+    stopped.tell(240, 1.3)
     for _ in range(50):
-        assert watch.run_scan() == STOP
+        assert stopped.run_scan() == STOP
