@@ -2,6 +2,7 @@
 #   make run     runs the default scenario and prints where the report is
 #   make test    checks format, lint and types, then runs the tests
 # More commands:
+#   make test-long       runs the tests that `make test` leaves out
 #   make bench   measures speed
 #   make false-alarms    simulates an hour without a fault and counts alarms
 #   make hardware-demo   runs the hardware command on a simulated robot
@@ -30,8 +31,12 @@ CHECK_DRAKE := @$(BIN)/python -c 'import pydrake.common' 2> /dev/null || \
 	scripts/install_system_packages.sh \
 	  "Drake lacks libraries" libglib2.0-0 libsm6 libx11-6
 
-.PHONY: run hardware-demo fault-table false-alarms images test bench \
-	format fuzz clean
+# A file's tests share their runs; files that take longest come first.
+PYTEST := $(BIN)/python -m pytest --numprocesses auto --dist loadfile \
+	--no-loadscope-reorder
+
+.PHONY: run hardware-demo fault-table false-alarms images test test-long \
+	bench format fuzz clean
 
 run: $(VENV)/.installed
 	$(BIN)/tofssm simulate --out $(OUT)
@@ -43,7 +48,10 @@ test: $(VENV)/.installed-test
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
 	$(BIN)/python tests/check_types.py
-	$(BIN)/python -m pytest --numprocesses auto --dist loadfile
+	$(PYTEST) -m "not long"
+
+test-long: $(VENV)/.installed-test
+	$(PYTEST) -m long
 
 bench: $(VENV)/.installed-test
 	$(BIN)/python -m pytest benchmarks --benchmark-columns=min,median,max,rounds

@@ -111,7 +111,7 @@ def looks():
     return lambda name="Default", text="": finish_scenario(name, text)[2]
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def fault_cells():
     """Returns robots at full speed, and about to stop for somebody."""
     alone = make_cell(Moment.ALONE)

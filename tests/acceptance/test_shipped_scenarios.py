@@ -17,9 +17,20 @@ def test_scenario_runs(run, name, duration):
     assert summary["max_tcp_speed_mps"] < 1.75
 
 
-@pytest.mark.long
-@pytest.mark.parametrize("ssm", ["vo", "vr", "sm"])
-def test_without_the_mask_the_robot_stops_at_itself(run, ssm):
-    _, summary = run("NoMask", f"{{law: {{configuration: {ssm}}}}}")
+@pytest.mark.parametrize(
+    ("ssm", "duration"),
+    [
+        ("vo", 4.0),
+        *(
+            pytest.param(ssm, 20.0, marks=pytest.mark.long)
+            for ssm in ("vo", "vr", "sm")
+        ),
+    ],
+)
+def test_without_the_mask_the_robot_stops_at_itself(run, ssm, duration):
+    _, summary = run(
+        "NoMask",
+        f"{{simulation_duration: {duration}, law: {{configuration: {ssm}}}}}",
+    )
     assert summary["stop_events"] > 0
     assert summary["stopped_s"] > 1.0

@@ -59,7 +59,14 @@ def blind(*rings):
     return change
 
 
-@pytest.mark.parametrize("first", [(0,), (1, 3, 5, 7), (2,)])
+@pytest.mark.parametrize(
+    "first",
+    [
+        (1, 3, 5, 7),
+        pytest.param((0,), marks=pytest.mark.long),
+        pytest.param((2,), marks=pytest.mark.long),
+    ],
+)
 def test_blind_rings_are_found(first):
     cell = SplitCell(first)
     cell.wait_for_full_speed()

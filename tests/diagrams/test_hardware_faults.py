@@ -7,6 +7,7 @@ fault-table` measures what a real computer adds.
 import math
 import unittest
 
+from fault_rows import Moment, call_in_copy, make_cell
 from lockstep import CYCLE, Cell
 
 from tofssm_drake.errors import UserError
@@ -21,7 +22,13 @@ from tofssm_drake.rtde.slider import SliderPhase
 class TestFaults(unittest.TestCase):
     @classmethod
     def setUpClass(cls):
-        cls.cell = Cell()
+        cls.cell = make_cell(Moment.ALONE)
+
+    def check_copies(self, check, cases):
+        """Checks cases, each in a copy of a robot at full speed."""
+        for case in cases:
+            with self.subTest(case):
+                call_in_copy(lambda case=case: check(*case))
 
     def setUp(self):
         if self.cell.run.ticks:
@@ -37,9 +44,7 @@ class TestFaults(unittest.TestCase):
 
     def check_return(self):
         """Speed recovers through half a second at the reduced fraction."""
-        self.check_return_of(self.cell)
-
-    def check_return_of(self, cell):
+        cell = self.cell
         if not cell.robot.is_program_running():
             cell.robot.play()
         sliders, problems = [cell.robot.slider], [True]
@@ -114,16 +119,18 @@ class TestFaults(unittest.TestCase):
         self.check_return()
 
     def test_robot_whose_reports_are_very_late_or_gone_for_good(self):
-        for fault, why in (
-            ({"delay": 0.3}, "reports come [23].. ms late"),
-            ({"is_silent": True}, "no report for 10 s: it is silent"),
-        ):
-            with self.subTest(fault):
-                cell = Cell()
-                cell.wait_for_full_speed()
-                vars(cell).update(fault)
-                with self.assertRaisesRegex(UserError, why):
-                    cell.measure(11.0)
+        def check(fault, why):
+            vars(self.cell).update(fault)
+            with self.assertRaisesRegex(UserError, why):
+                self.cell.measure(11.0)
+
+        self.check_copies(
+            check,
+            (
+                ({"delay": 0.3}, "reports come [23].. ms late"),
+                ({"is_silent": True}, "no report for 10 s: it is silent"),
+            ),
+        )
 
     def test_slider_that_does_not_obey(self):
         """Together with a ring: otherwise there is nothing to obey."""
@@ -143,75 +150,87 @@ class TestFaults(unittest.TestCase):
 
     def test_arm_that_does_not_slow(self):
         """The echo obeys: only the joints' speed shows it."""
-        for fault, joint, limit in (
-            # While the law slows down: 0.3 s ramp, 0.1 s to be sure.
-            ({"ignores_slider": True}, "1 at 2", 0.50),
-            # After the law's 0.4 s to 0, and what is above the margin.
-            ({"slowest_fraction": 0.6}, "[1-6] at [0-9]", 0.85),
-            # After the law's 0.4 s to 0, 0.5 s to rest, 0.1 s to be sure.
-            ({"slowest_fraction": 0.1}, "[1-6] at 0", 1.05),
-        ):
-            with self.subTest(fault=fault):
-                cell = Cell()
-                cell.wait_for_full_speed()
-                vars(cell.robot).update(fault)
-                cell.inject("bus", "elbow")
-                start = cell.time
-                result = cell.wait_until(
-                    lambda r: r.slider.phase == SliderPhase.FAULT
-                )
-                self.assertLessEqual(cell.time - start, limit)
-                self.assertRegex(
-                    result.health,
-                    f"arm does not slow: joint {joint}.* rad/s, the slider",
-                )
-                heartbeat = result.slider.command.heartbeat
-                times = cell.measure(0.2 + 0.2 + 4 * CYCLE)
-                # Its watchdog has acted.
-                self.assertLess(times.still, math.inf)
-                self.assertEqual(cell.robot.runtime_state, RuntimeState.STOPPED)
-                self.assertEqual(
-                    cell.result.slider.command.heartbeat, heartbeat
-                )
-                cell.robot.ignores_slider = False
-                cell.robot.slowest_fraction = 0.0
-                cell.heal()
-                cell.wait_until(lambda r: r.slider.phase != SliderPhase.FAULT)
-                cell.robot.play()
-                while cell.robot.slider != 0.0:
-                    cell.step()
-                self.check_return_of(cell)
+        self.check_copies(
+            self.check_arm_that_does_not_slow,
+            (
+                # While the law slows down: 0.3 s ramp, 0.1 s to be sure.
+                ({"ignores_slider": True}, "1 at 2", 0.50),
+                # After the law's 0.4 s to 0, and what is above the margin.
+                ({"slowest_fraction": 0.6}, "[1-6] at [0-9]", 0.85),
+                # After the law's 0.4 s to 0, 0.5 s to rest, 0.1 s to be sure.
+                ({"slowest_fraction": 0.1}, "[1-6] at 0", 1.05),
+            ),
+        )
+
+    def check_arm_that_does_not_slow(self, fault, joint, limit):
+        cell = self.cell
+        vars(cell.robot).update(fault)
+        cell.inject("bus", "elbow")
+        start = cell.time
+        result = cell.wait_until(lambda r: r.slider.phase == SliderPhase.FAULT)
+        self.assertLessEqual(cell.time - start, limit)
+        self.assertRegex(
+            result.health,
+            f"arm does not slow: joint {joint}.* rad/s, the slider",
+        )
+        heartbeat = result.slider.command.heartbeat
+        times = cell.measure(0.2 + 0.2 + 4 * CYCLE)
+        # Its watchdog has acted.
+        self.assertLess(times.still, math.inf)
+        self.assertEqual(cell.robot.runtime_state, RuntimeState.STOPPED)
+        self.assertEqual(cell.result.slider.command.heartbeat, heartbeat)
+        cell.robot.ignores_slider = False
+        cell.robot.slowest_fraction = 0.0
+        cell.heal()
+        cell.wait_until(lambda r: r.slider.phase != SliderPhase.FAULT)
+        cell.robot.play()
+        while cell.robot.slider != 0.0:
+            cell.step()
+        self.check_return()
 
     def test_robot_that_is_not_the_modelled_one(self):
-        for act, limit, why in (
-            (lambda r: r.joint_offset.__setitem__(0, 0.1), 0.3, "5.7 deg from"),
-            (lambda r: setattr(r, "joints_late", 0.05), 1.0, "mm and .* from"),
+        def check(act, limit, why):
+            start = self.cell.time
+            act(self.cell.robot)
+            with self.assertRaisesRegex(UserError, f"^robot: .*{why}"):
+                self.cell.measure(10.0)
+            self.assertLessEqual(self.cell.time - start, limit)
+
+        self.check_copies(
+            check,
             (
-                lambda r: setattr(r, "clock_rate", 2.0),
-                4.2,
-                "its clock runs 2.000 times as fast",
+                (
+                    lambda r: r.joint_offset.__setitem__(0, 0.1),
+                    0.3,
+                    "5.7 deg from",
+                ),
+                (
+                    lambda r: setattr(r, "joints_late", 0.05),
+                    1.0,
+                    "mm and .* from",
+                ),
+                (
+                    lambda r: setattr(r, "clock_rate", 2.0),
+                    4.2,
+                    "its clock runs 2.000 times as fast",
+                ),
+                (
+                    lambda r: setattr(r, "clock_rate", 1.03),
+                    4.2,
+                    "its clock runs 1.030 times as fast",
+                ),
             ),
-            (
-                lambda r: setattr(r, "clock_rate", 1.03),
-                4.2,
-                "its clock runs 1.030 times as fast",
-            ),
-        ):
-            with self.subTest(why=why):
-                cell = Cell()
-                cell.wait_for_full_speed()
-                start = cell.time
-                act(cell.robot)
-                with self.assertRaisesRegex(UserError, f"^robot: .*{why}"):
-                    cell.measure(10.0)
-                self.assertLessEqual(cell.time - start, limit)
+        )
 
     def test_tool_that_is_set_up_elsewhere_is_no_fault(self):
-        cell = Cell()
-        cell.wait_for_full_speed()
-        cell.robot.tcp_offset[2] += 0.1
-        cell.measure(1.0)
-        self.assertEqual(cell.result.slider.phase, SliderPhase.FOLLOWING)
+        def check():
+            self.cell.robot.tcp_offset[2] += 0.1
+            self.cell.measure(1.0)
+            self.assertEqual(
+                self.cell.result.slider.phase, SliderPhase.FOLLOWING
+            )
+
+        call_in_copy(check)
 
     def test_clock_that_jumps(self):
         for seconds in (5.0, -5.0):

@@ -1,10 +1,18 @@
-"""The rows of the fault table as cases of a test."""
+"""The rows of the fault table as cases of a test.
+
+`make test` injects every third fault, at one moment each; `make test-long`
+does the rest.
+"""
 
 from collections.abc import Sequence
 
 from fault_rows import Moment, Row, find_failure, measure_row
 from lockstep import Cell
 import pytest
+
+_MOMENTS = tuple(Moment)
+# Of these rows `make test` does one.
+_EACH = 3
 
 
 def list_cases(rows: Sequence[Row]) -> list:
@@ -18,13 +26,21 @@ def list_cases(rows: Sequence[Row]) -> list:
             row,
             moment,
             id=f"{row.name.replace('`', '')}-{moment.name}",
-            marks=[pytest.mark.xfail(reason=row.finder)]
-            if moment in row.open
-            else [],
+            marks=_list_marks(row, moment, number),
         )
-        for row in rows
+        for number, row in enumerate(rows)
         for moment in Moment
     ]
+
+
+def _list_marks(row, moment, number):
+    marks = []
+    if moment in row.open:
+        marks.append(pytest.mark.xfail(reason=row.finder))
+    turn, rest = divmod(number, _EACH)
+    if rest or moment != _MOMENTS[turn % len(_MOMENTS)]:
+        marks.append(pytest.mark.long)
+    return marks
 
 
 def check_row(cell: Cell, row: Row, moment: Moment) -> None:
