@@ -34,7 +34,14 @@ def position():
     return path.calc_motion(0.0)[0]
 
 
-@pytest.fixture(scope="module", params=["vo", "vr", "sm"])
+@pytest.fixture(
+    scope="module",
+    params=[
+        "vo",
+        pytest.param("vr", marks=pytest.mark.long),
+        pytest.param("sm", marks=pytest.mark.long),
+    ],
+)
 def monitor(request):
     return make_monitor(
         load_scenario(

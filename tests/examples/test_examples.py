@@ -36,6 +36,7 @@ def run(file, name, text=""):
 ALONE = "{simulation_duration: 14.0, people: {visitor: null}}"
 
 
+@pytest.mark.long
 def test_my_arm_ur5e():
     """Two rings and a lidar on a UR5e; nobody is there, nothing stops it."""
     samples, progress = run("my_arm.yaml", "UR5e", ALONE)
@@ -44,6 +45,7 @@ def test_my_arm_ur5e():
     assert (samples["robot_state"][samples["t"] > 0.2] == 2).all()
 
 
+@pytest.mark.long
 def test_my_arm_panda():
     """Seven joints from a public description, from waypoint to waypoint."""
     samples, progress = run("my_arm.yaml", "Panda", ALONE)
@@ -91,6 +93,7 @@ def test_my_sensor_measures():
     assert status[0] == 2
 
 
+@pytest.mark.long
 def test_rings_and_lidar():
     """Three sensors, two ring models: nobody is there, nothing stops it."""
     samples, progress = run("rings_and_lidar.yaml", "Default", ALONE)

@@ -150,6 +150,7 @@ class TestGoingOn:
         assert kept.stat().st_mtime_ns == before
         assert str(out / "report.html") in capsys.readouterr().out
 
+    @pytest.mark.long
     def test_killed(self, whole, tmp_path):
         """By kill -9, on processes of their own, as a user runs it."""
         out = tmp_path / "out"

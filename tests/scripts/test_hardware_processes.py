@@ -15,6 +15,7 @@ import unittest
 
 from cell_process import PATIENT, CellProcess, Program
 from mcap.reader import make_reader
+import pytest
 
 from tofssm_drake.messages import RobotState
 from tofssm_drake.recording.run_record import RunReader
@@ -27,6 +28,7 @@ from tofssm_drake.rtde.rtde_protocol import PackageType, Recipe
 from tofssm_drake.rtde.rtde_report import list_outputs
 
 
+@pytest.mark.long
 class TestRings(unittest.TestCase):
     def check_record(self, path, why):
         """After the stop, speed recovers through one half."""
