@@ -226,7 +226,9 @@ class TestOptions:
         ("name", "links"),
         [("MotionCapture", RINGS), ("PlanarLidar", ("lidar",))],
     )
-    def test_other_sensors(self, tmp_path, name, links):
+    def test_other_sensors(self, tmp_path, name, links, monkeypatch):
+        # Their reports are looked at in test_sensings.py.
+        monkeypatch.setattr(simulate, "write_report", lambda *_, **__: None)
         assert run("--scenario-name", name, *SHORT, "--out", tmp_path) == 0
         summary = read_summary(tmp_path)
         (sensor,) = summary["scenario"]["sensors"].values()
