@@ -33,6 +33,9 @@ people:
   worker: !GeneratedWalk {figure_eight: {start: 0.5, centre: [-1.3, 0.3]}}
 """
 
+# Until the robot has begun to move, s.
+SHORT = 0.4
+
 
 @functools.cache
 def run(text, duration=4.0):
@@ -65,10 +68,11 @@ def test_sensors_of_all_kinds_at_once():
 
 def test_a_fourth_ring_changes_nothing_for_the_others():
     """Alike sensors with noise of their own streams see the same cell."""
-    plain = run("random_seed: 0")
+    plain = run("random_seed: 0", SHORT)
     more = run(
         "sensors: {wrist: !Ring {parent: ur10::wrist_1_link, radius: 0.08, "
-        "count: 6}}"
+        "count: 6}}",
+        SHORT,
     )
     # Nothing moves before the first samples, so the distances agree.
     first = plain["t"] < 0.1
@@ -81,9 +85,9 @@ def test_a_fourth_ring_changes_nothing_for_the_others():
 
 
 def test_the_nearest_of_two_people_counts():
-    both = run(PEOPLE)
+    both = run(PEOPLE, SHORT)
     alone = [
-        run(f"people: {{{name}: {person}, {other}: null}}")
+        run(f"people: {{{name}: {person}, {other}: null}}", SHORT)
         for name, person, other in (
             (
                 "visitor",
