@@ -9,6 +9,7 @@ import unittest
 
 from fault_rows import Moment, call_in_copy, make_cell
 from lockstep import CYCLE, Cell
+import pytest
 
 from tofssm_drake.errors import UserError
 from tofssm_drake.messages import RobotState
@@ -84,8 +85,18 @@ class TestFaults(unittest.TestCase):
         ("restart", "base", 0.52, "base sample is .* s old"),
     )
 
+    # The kinds of `make test`: no frame, a frame without news, a bad frame.
+    OFTEN = ("silent", "frozen", "bus")
+
     def test_rings(self):
-        for kind, ring, limit, why in self.RINGS:
+        self.check_rings(r for r in self.RINGS if r[0] in self.OFTEN)
+
+    @pytest.mark.long
+    def test_other_faults_of_rings(self):
+        self.check_rings(r for r in self.RINGS if r[0] not in self.OFTEN)
+
+    def check_rings(self, cases):
+        for kind, ring, limit, why in cases:
             with self.subTest(kind=kind):
                 self.cell.wait_for_full_speed()
                 self.cell.inject(kind, ring)
