@@ -161,11 +161,15 @@ class TestFaults(unittest.TestCase):
 
     def test_arm_that_does_not_slow(self):
         """The echo obeys: only the joints' speed shows it."""
+        # While the law slows down: 0.3 s ramp, 0.1 s to be sure.
+        case = {"ignores_slider": True}, "1 at 2", 0.50
+        self.check_copies(self.check_arm_that_does_not_slow, (case,))
+
+    @pytest.mark.long
+    def test_arm_that_slows_too_little(self):
         self.check_copies(
             self.check_arm_that_does_not_slow,
             (
-                # While the law slows down: 0.3 s ramp, 0.1 s to be sure.
-                ({"ignores_slider": True}, "1 at 2", 0.50),
                 # After the law's 0.4 s to 0, and what is above the margin.
                 ({"slowest_fraction": 0.6}, "[1-6] at [0-9]", 0.85),
                 # After the law's 0.4 s to 0, 0.5 s to rest, 0.1 s to be sure.

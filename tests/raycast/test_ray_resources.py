@@ -12,6 +12,7 @@ import numpy as np
 from pydrake.common.value import Value
 from pydrake.geometry import FramePoseVector
 from pydrake.math import RigidTransform
+import pytest
 import ray_oracle as oracle
 
 from tofssm_drake.raycast import (
@@ -112,6 +113,7 @@ class TestResources(unittest.TestCase):
         # From here on the kernels are compiled.
         Scanner().scan(0)
 
+    @pytest.mark.long
     def test_many_scans_take_no_more_memory(self):
         """Not even 20 bytes a scan, less than any object of Python's."""
         self.assertLess(run_in_new_process("report_growth()"), 20 * SCANS)

@@ -9,6 +9,7 @@ import socket
 import time
 import unittest
 
+import pytest
 from robot_process import find_free_host, start, start_robot
 
 from tofssm_drake.robots.robot_modes import RuntimeState
@@ -32,27 +33,30 @@ def wait_for(client, condition, timeout=120.0):
 
 class TestProcess(unittest.TestCase):
     def test_heartbeat_and_end(self):
-        for series in ("cb3", "e"):
-            host = find_free_host()
-            with (
-                self.subTest(series=series),
-                start_robot(
-                    *("--host", host, "--dashboard-port", 0),
-                    *("--series", series, "--start", "heartbeat"),
-                    *("--watchdog", 0.2, "--ramp", 0.05),
-                ) as process,
-            ):
-                line = process.stdout.readline()
-                self.assertRegex(
-                    line,
-                    rf"simulated UR10, \d+ Hz, RTDE at {host}:30004, "
-                    rf"dashboard at {host}:\d+",
-                )
-                self.check_watchdog(host)
-                self.check_dashboard(host, int(re.search(r":(\d+)$", line)[1]))
-                process.send_signal(signal.SIGTERM)
-                self.assertEqual(process.wait(120), 0)
-                self.assertEqual(process.stdout.read(), "")
+        self.check_series("e")
+
+    @pytest.mark.long
+    def test_heartbeat_and_end_of_the_cb3_series(self):
+        self.check_series("cb3")
+
+    def check_series(self, series):
+        host = find_free_host()
+        with start_robot(
+            *("--host", host, "--dashboard-port", 0),
+            *("--series", series, "--start", "heartbeat"),
+            *("--watchdog", 0.2, "--ramp", 0.05),
+        ) as process:
+            line = process.stdout.readline()
+            self.assertRegex(
+                line,
+                rf"simulated UR10, \d+ Hz, RTDE at {host}:30004, "
+                rf"dashboard at {host}:\d+",
+            )
+            self.check_watchdog(host)
+            self.check_dashboard(host, int(re.search(r":(\d+)$", line)[1]))
+            process.send_signal(signal.SIGTERM)
+            self.assertEqual(process.wait(120), 0)
+            self.assertEqual(process.stdout.read(), "")
 
     def check_watchdog(self, host):
         """If the monitor is killed, the robot's program stops on its own."""

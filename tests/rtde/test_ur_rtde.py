@@ -7,6 +7,7 @@ import sys
 import unittest
 
 import numpy as np
+import pytest
 from robot_process import find_free_host, start_robot
 from robot_room import make_kinematics
 
@@ -48,12 +49,18 @@ class TestUrRtde(unittest.TestCase):
         )
         np.testing.assert_allclose(seen["tcp_pose"], pose, atol=1e-9)
 
-    def test_both_series(self):
-        for options in (
-            ("--series", "cb3"),
+    def test_cb3_series(self):
+        self.check_robots(("--series", "cb3"))
+
+    @pytest.mark.long
+    def test_e_series(self):
+        self.check_robots(
             ("--series", "e"),
             ("--series", "e", "--text-messages", "--fragment", 100),
-        ):
+        )
+
+    def check_robots(self, *cases):
+        for options in cases:
             host = find_free_host()
             with (
                 self.subTest(options=options),

@@ -12,6 +12,7 @@ import dataclasses as dc
 import math
 import threading
 import time
+from typing import Self
 
 from tofssm_drake.messages import RobotReport, SliderCommand
 from tofssm_drake.robots.robot_connection import RobotStatus
@@ -66,7 +67,7 @@ class RobotClient:
         )
         self._thread.start()
 
-    def __enter__(self):
+    def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_) -> None:
