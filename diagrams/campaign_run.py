@@ -97,15 +97,6 @@ def vary_person(
     )
 
 
-def find_recordings(scenario: Scenario) -> dict[str, BvhRecording]:
-    """Returns the recordings that the people replay, by file name."""
-    return {
-        person.filename: person
-        for person in scenario.people.values()
-        if isinstance(person, BvhRecording)
-    }
-
-
 def execute(
     cell: Scenario,
     run: PlannedRun,

@@ -147,7 +147,7 @@ def make_hardware_station(
         plant=plant,
         scene_graph=scene_graph,
         people=world.people,
-        nominal_duration=path.duration,
+        path=path,
         robot=robot,
         rings=rings,
     )

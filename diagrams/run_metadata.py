@@ -23,6 +23,7 @@ from tofssm_drake.diagrams.station import Station
 from tofssm_drake.laws.law import describe_law
 from tofssm_drake.metrics.audit import make_audit_metadata
 from tofssm_drake.metrics.standards import make_latency_budget
+from tofssm_drake.people.moving_box import calc_box_place
 from tofssm_drake.people.skeleton import CAPSULES
 from tofssm_drake.recording.samples import make_ring_metadata
 from tofssm_drake.sensors.ring_mount import find_ring_mount
@@ -58,6 +59,7 @@ def make_run_metadata(
         )
         or "nobody",
         "products": scenario.task.products,
+        "task": describe_task(scenario, station),
         "sensors_per_ring": {n: ring.num_sensors for n, ring in rings.items()},
         "dead_sensors": {
             n: ring.dead_sensors
@@ -69,6 +71,11 @@ def make_run_metadata(
             "m" if slides else "rad"
             for slides in find_chain(station.plant).slides
         ],
+        "people": list(station.people.avatars),
+        "shirts": {
+            name: _to_hex(avatar.shirt)
+            for name, avatar in station.people.avatars.items()
+        },
         "person_parts": _name_parts(scenario.people),
         "ring_geometry": _describe_rings(rings, station),
         "audit": make_audit_metadata(
@@ -99,6 +106,32 @@ def get_versions() -> dict[str, str]:
     """Returns the versions that a result depends on."""
     versions = {name: importlib.metadata.version(name) for name in _PACKAGES}
     return versions | {"python": platform.python_version()}
+
+
+def describe_task(scenario: Scenario, station: Station) -> dict:
+    """Returns what the task counts, and when, see `count_steps`.
+
+    Args:
+        scenario: The scenario as run.
+        station: Its station.
+    """
+    path = station.path
+    if station.program is None:
+        step = scenario.task.step if scenario.task.products else ""
+        if path.open_time and not step:
+            step = "object put down"
+        return {"step": step, "steps": len(path.open_time)}
+    described = {"step": scenario.task.step, "steps": len(path.step_time)}
+    if path.step_time != path.open_time:
+        # Later ones are not reached.
+        end = scenario.simulation_duration
+        described["step_time"] = [s for s in path.step_time if s <= end]
+    return described
+
+
+def _to_hex(rgba):
+    """Returns a colour as `#rrggbb`."""
+    return "#" + "".join(f"{round(255 * c):02x}" for c in rgba[:3])
 
 
 def _name_parts(people):
@@ -204,7 +237,27 @@ def _describe_plan(station):
                     ],
                 }
             )
-    return {"outlines": outlines, "robot": robot.tolist()}
+    return {
+        "outlines": outlines,
+        "robot": robot.tolist(),
+        "obstacles": [
+            _describe_obstacle(name, box)
+            for name, box in station.people.obstacles.items()
+        ],
+    }
+
+
+def _describe_obstacle(name, box):
+    """Returns where a moving box is at first, and its way, from above."""
+    place, angle = calc_box_place(box, 0.0)
+    x, y = 0.5 * np.array(box.size[:2])
+    corners = np.array([[x, y], [-x, y], [-x, -y], [x, -y]])
+    c, s = math.cos(angle), math.sin(angle)
+    return {
+        "label": name.replace("_", " "),
+        "outline": (place + corners @ np.array([[c, s], [-s, c]])).tolist(),
+        "way": [list(map(float, point)) for point in box.waypoints],
+    }
 
 
 def _find_furniture(plant):

@@ -20,7 +20,7 @@ from tofssm_drake.arms.cell_plant import WORKCELL
 from tofssm_drake.arms.sim_arm import Simulated
 from tofssm_drake.arms.ur_arm import UrArm
 from tofssm_drake.diagrams.drivers import ArmDriver
-from tofssm_drake.diagrams.people import Person
+from tofssm_drake.diagrams.people import Person, require_apart
 from tofssm_drake.diagrams.sensors import (
     PlanarLidar,
     Sensor,
@@ -158,6 +158,7 @@ class Scenario:
             for name, member in getattr(self, group).items():
                 _check_name(name, f"{at}{group}")
                 member.check(f"{at}{group}.{name}")
+        require_apart(self.people, f"{at}people")
         self._check_names(at)
         for field in dc.fields(self):
             value = getattr(self, field.name)

@@ -22,7 +22,8 @@ class Progress:
 
     time: float
     """Simulated time, s."""
-    products_placed: int
+    steps_done: int
+    """Of the task: products placed, waypoints reached."""
     wall_time: float
     """Wall time since the start, s."""
     real_time_factor: float
@@ -61,7 +62,7 @@ class Run:
         station = workcell.station.diagram
         self._station_context = station.GetMyContextFromRoot(self._context)
         self._task_done = station.GetOutputPort("task_done")
-        self._products_placed = station.GetOutputPort("products_placed")
+        self._program = workcell.station.program
         self._steps = 0
         self._wall_time = 0.0
         self._first = 0.0, 0.0
@@ -88,12 +89,17 @@ class Run:
         done = self._task_done.Eval(self._station_context)[0] > 0.5
         return Progress(
             time=end,
-            products_placed=int(
-                self._products_placed.Eval(self._station_context)[0]
-            ),
+            steps_done=self._count_steps(),
             wall_time=self._wall_time,
             real_time_factor=factor,
             finished=bool(done or end >= self._duration),
+        )
+
+    def _count_steps(self):
+        if self._program is None:
+            return 0
+        return self._program.count_steps(
+            self._program.GetMyContextFromRoot(self._context)
         )
 
     def make_samples(self) -> Samples:

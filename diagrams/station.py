@@ -17,6 +17,7 @@ from tofssm_drake.diagrams.scenario import Scenario, find_links
 from tofssm_drake.diagrams.tasks import make_task_path, require_supported
 from tofssm_drake.errors import UserError
 from tofssm_drake.messages import make_empty_separation
+from tofssm_drake.tasks.path import ProgramPath
 from tofssm_drake.tasks.program import TaskProgram
 
 
@@ -31,8 +32,16 @@ class Station:
     """The world that the rings see."""
     people: People
     """Those of the port `skeleton`."""
-    nominal_duration: float
-    """Duration of the task at full speed, s."""
+    path: ProgramPath
+    """The task's nominal motion."""
+    program: TaskProgram | None = None
+    """What follows it; None: a real robot's own program, of which only the
+    gripper's actions are known."""
+
+    @property
+    def nominal_duration(self) -> float:
+        """Duration of the task at full speed, s."""
+        return self.path.duration
 
 
 def make_station(scenario: Scenario) -> Station:
@@ -135,7 +144,8 @@ def make_station(scenario: Scenario) -> Station:
         plant=plant,
         scene_graph=scene_graph,
         people=world.people,
-        nominal_duration=program.path.duration,
+        path=program.path,
+        program=program,
     )
 
 

@@ -1,12 +1,9 @@
 """A study of one's own, read from YAML."""
 
-from collections.abc import Iterator
-import contextlib
 import dataclasses as dc
 import hashlib
 from pathlib import Path
 
-from tofssm_drake.diagrams.campaign_run import find_recordings
 from tofssm_drake.diagrams.scenario import (
     Scenario,
     change_settings,
@@ -18,8 +15,8 @@ from tofssm_drake.diagrams.yaml_check import (
     check_yaml,
     parse_yaml,
 )
-from tofssm_drake.errors import UserError, require
-from tofssm_drake.people.bvh import make_bvh_motion
+from tofssm_drake.errors import UserError, prefix_errors, require
+from tofssm_drake.people.bvh import BvhRecording
 from tofssm_drake.studies.study import CellSettings, Study, StudyCell
 from tofssm_drake.user_files import read_file
 
@@ -87,7 +84,7 @@ def make_study_scenarios(
                 scenario = change_settings(scenario, part, source=source)
             if duration is not None:
                 scenario = dc.replace(scenario, simulation_duration=duration)
-            with _prefix(at):
+            with prefix_errors(at):
                 scenario.check()
                 cell = make_study_cell(name, scenario, variant=variant)
             scenarios[cell] = scenario
@@ -97,20 +94,11 @@ def make_study_scenarios(
 def _load(settings: CellSettings, filename: Path, where: str) -> Scenario:
     """Returns the scenario that a cell starts from."""
     file, _, name = settings.scenario.partition("#")
-    with _prefix(f"{where}.scenario"):
+    with prefix_errors(f"{where}.scenario"):
         return load_scenario(
             filename=filename.parent / file if file else None,
             name=name or "Default",
         )
-
-
-@contextlib.contextmanager
-def _prefix(where: str) -> Iterator[None]:
-    """Says of a mistake in which part of the study it is."""
-    try:
-        yield
-    except UserError as error:
-        raise UserError(f"{where}: {error}") from None
 
 
 def make_study_cell(
@@ -145,9 +133,12 @@ def read_recordings(scenario: Scenario) -> dict[str, bytes]:
         UserError: One cannot be read, or nobody walks in it.
     """
     contents = {}
-    for file, person in find_recordings(scenario).items():
+    for name, person in scenario.people.items():
+        if not isinstance(person, BvhRecording):
+            continue
+        where, file = f"people.{name}", person.filename
         # Reading a pipe would block.
-        require(Path(file).is_file(), f"people: {file} is not a file")
-        make_bvh_motion(person, scenario.control_period)
+        require(Path(file).is_file(), f"{where}.filename: {file} is not a file")
+        person.make_motion(scenario.control_period, where)
         contents[file] = Path(file).read_bytes()
     return contents

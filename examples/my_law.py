@@ -44,6 +44,8 @@ class MyLaw:
     )
 
     def __init__(self, stop=0.6, slow=1.2):
+        if not 0.0 <= stop < slow <= 100.0:
+            raise ValueError(f"stop {stop} must be below slow {slow}, m")
         self.stop, self.slow = stop, slow
 
     def make(self, *, links, offset, period):

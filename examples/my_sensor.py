@@ -28,6 +28,7 @@ class Ultrasonic:
             sure_range=0.7 * reach,  # A flat thing that fills the cone.
             tolerance=0.04,  # 1 % of 2 m, 3 times the noise, half a step.
             resolution=RESOLUTION,
+            least_noise=noise,
             noise_draws=1,
             constant_draws=1,
         )

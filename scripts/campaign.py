@@ -23,7 +23,7 @@ from rich.progress import (
 
 from tofssm_drake.diagrams.campaign_run import execute, make_run_scenario
 from tofssm_drake.diagrams.scenario import Scenario
-from tofssm_drake.errors import require
+from tofssm_drake.errors import prefix_errors, require
 from tofssm_drake.people.bvh import BvhRecording, make_bvh_motion
 from tofssm_drake.scripts.cluster import call_all, connect
 from tofssm_drake.studies.campaign import CellT, Plan, PlannedRun
@@ -188,7 +188,8 @@ def read_motions(folder: Path | None, period: float) -> dict[str, bytes]:
     for path in paths:
         # Reading a pipe would block.
         require(path.is_file(), f"--human-motions: {path} is not a file")
-        make_bvh_motion(BvhRecording(filename=str(path)), period)
+        with prefix_errors("--human-motions"):
+            make_bvh_motion(BvhRecording(filename=str(path)), period)
     return {path.name: path.read_bytes() for path in paths}
 
 

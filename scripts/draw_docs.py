@@ -1,8 +1,9 @@
 """Makes the pictures of the documentation again: `make images`.
 
 It draws the Diagrams with Graphviz and runs the default scenario for the
-picture of the cell, which a browser without a window takes of its replay. On
-Debian: `apt-get install graphviz chromium`.
+pictures of the cell and of its twin, which a browser without a window takes. On
+Debian: `apt-get install graphviz chromium`. The figure of the ray caster's cost
+is measured: `python benchmarks/make_speed_page.py` draws it.
 """
 
 from pathlib import Path
@@ -15,7 +16,8 @@ import tempfile
 import numpy as np
 from pydrake.systems.framework import Diagram
 
-from tofssm_drake.diagrams.scenario import load_scenario
+from tofssm_drake.diagrams.scenario import find_links, load_scenario
+from tofssm_drake.diagrams.simulation import make_simulator
 from tofssm_drake.diagrams.workcell import make_workcell
 from tofssm_drake.errors import UserError, require
 from tofssm_drake.messages import RobotState
@@ -25,11 +27,14 @@ from tofssm_drake.recording.samples import (
     write_atomically,
 )
 from tofssm_drake.scripts.main import run
+from tofssm_drake.scripts.simulate import make_display
+from tofssm_drake.visualization.health_board import OK, HealthBoard
 
 # Graphviz's and a browser's.
 _DOT = "dot"
 _BROWSERS = ("chromium", "chromium-browser", "google-chrome")
 _SIZE = (1280, 760)
+_TWIN_SIZE = (700, 620)
 # So long that the strip of states below the picture can be read, s.
 _DURATION = 24.0
 # The person is near, but does not hide the robot.
@@ -94,8 +99,12 @@ def find_instant(samples: Samples) -> float:
     return float(samples["t"][np.argmin(distance)])
 
 
-def photograph_cell(folder: Path, browser: str) -> None:
-    """Runs the default scenario and takes a picture of its replay."""
+def photograph_cell(folder: Path, browser: str) -> float:
+    """Runs the default scenario and takes a picture of its replay.
+
+    Returns:
+        When it stopped as in the picture, s.
+    """
     with tempfile.TemporaryDirectory() as name:
         out = Path(name)
         require(
@@ -107,15 +116,43 @@ def photograph_cell(folder: Path, browser: str) -> None:
         write_atomically(
             folder / "cell.png", lambda p: take_picture(browser, page, p)
         )
+    return instant
 
 
-def take_picture(browser: str, page: str, path: Path) -> None:
+def photograph_twin(folder: Path, browser: str, instant: float) -> None:
+    """Takes a picture of the twin that `tofssm hardware --meshcat` shows.
+
+    It is the simulated cell at an instant, without the person, whom a real
+    cell's twin does not know.
+    """
+    scenario = load_scenario()
+    meshcat = make_display()
+    workcell = make_workcell(scenario, meshcat=meshcat)
+    names = (*find_links(scenario), "robot")
+    HealthBoard(meshcat=meshcat, names=names).show(dict.fromkeys(names, OK))
+    make_simulator(
+        workcell.diagram, workcell.make_context(scenario.random_seed)
+    ).AdvanceTo(instant)
+    for person in scenario.people:
+        meshcat.Delete(f"visualizer/{person}")
+    with tempfile.TemporaryDirectory() as name:
+        page = Path(name) / "twin.html"
+        page.write_text(meshcat.StaticHtml(), encoding="utf-8")
+        write_atomically(
+            folder / "twin.png",
+            lambda p: take_picture(browser, page.as_uri(), p, size=_TWIN_SIZE),
+        )
+
+
+def take_picture(
+    browser: str, page: str, path: Path, size: tuple[int, int] = _SIZE
+) -> None:
     """Writes what a browser shows of a page as a PNG.
 
     Raises:
         UserError: It did not show it in time.
     """
-    width, height = _SIZE
+    width, height = size
     # It takes the kind of picture from the name.
     picture = path.with_suffix(".png")
     command = [
@@ -152,7 +189,7 @@ def draw_docs(folder: Path) -> None:
         )
     require(folder.is_dir(), f"there is no folder {folder}")
     draw_diagrams(folder)
-    photograph_cell(folder, browser)
+    photograph_twin(folder, browser, photograph_cell(folder, browser))
 
 
 if __name__ == "__main__":

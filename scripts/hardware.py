@@ -107,7 +107,7 @@ def hardware(
     ] = 30.0,
     duration: Annotated[
         float,
-        typer.Option(help="Longest run, s; 0: until all products are placed."),
+        typer.Option(help="Longest run, s; 0: until the task is done."),
     ] = 0.0,
     real_time: Annotated[
         bool,

@@ -32,7 +32,6 @@ from tofssm_drake.diagrams.simulation import Progress
 from tofssm_drake.errors import UserError
 from tofssm_drake.laws.law import describe_law
 from tofssm_drake.recording.run_record import RunRecorder
-from tofssm_drake.reports.report import count_of
 from tofssm_drake.ringlink.ring_address import SerialAddress, UdpAddress
 from tofssm_drake.ringlink.ring_link import RingLink
 from tofssm_drake.robots.robot_connection import RobotStatus
@@ -41,6 +40,7 @@ from tofssm_drake.rtde.slider import SliderConfig, find_operator_limit
 from tofssm_drake.scripts.hardware_status import HardwareStatus
 from tofssm_drake.scripts.simulate import (
     catch_stop,
+    describe_outcome,
     interrupt_on_stop,
     make_display,
     make_folder,
@@ -93,7 +93,7 @@ class SessionSettings:
     wait: float
     """Longest wait for robot and rings, s."""
     duration: float
-    """s; 0: until all products are placed."""
+    """s; 0: until the task is done."""
     in_real_time: bool
     with_meshcat: bool
     record: Path | None
@@ -162,7 +162,8 @@ def run_session(settings: SessionSettings) -> int:
         _begin(settings, loop, robot, first, recorder)
         for line in coverage:
             _console.print(f"note: {line}")
-        end = _run(settings, run, robot, link, stopped)
+        placed = "placed" if loop.workcell.station.path.open_time else ""
+        end = _run(settings, run, robot, link, stopped, placed)
         robot.close()
         # The terminal may be gone.
         with contextlib.suppress(OSError):
@@ -305,12 +306,14 @@ class _End:
     wall_time: float = 0.0
 
 
-def _run(settings, run, robot, link, stopped):
+def _run(settings, run, robot, link, stopped, placed):
     """Runs until something ends it; closes the robot before saying so."""
     result, has_begun = None, False
     begin = time.monotonic()
     duration = settings.duration
-    status = HardwareStatus(robot=robot, link=link, dry_run=settings.is_dry_run)
+    status = HardwareStatus(
+        robot=robot, link=link, dry_run=settings.is_dry_run, placed=placed
+    )
     try:
         with status, _ending(status, robot):
             while True:
@@ -324,7 +327,7 @@ def _run(settings, run, robot, link, stopped):
                     # The number may be left from the program's previous run.
                     has_begun = has_begun or not result.task_done
                     if has_begun and result.task_done:
-                        end = _End("all products are placed", 0)
+                        end = _End("the task is done", 0)
                         break
                 if duration and elapsed >= duration:
                     end = _End(f"ran for {duration:g} s", 0)
@@ -426,7 +429,7 @@ def _write_report(settings, loop, end, coverage):
         samples,
         Progress(
             time=end.result.time,
-            products_placed=end.result.products_placed,
+            steps_done=end.result.products_placed,
             wall_time=end.wall_time,
             real_time_factor=end.result.time / max(end.wall_time, 1e-9),
             finished=end.code == 0,
@@ -442,6 +445,5 @@ def _write_report(settings, loop, end, coverage):
         }
     write_results(samples, summary, settings.out)
     print(
-        f"{count_of(end.result.products_placed, 'product')} placed in "
-        f"{end.result.time:.1f} s; report: {settings.out / 'report.html'}"
+        f"{describe_outcome(summary)}; report: {settings.out / 'report.html'}"
     )

@@ -37,6 +37,7 @@ class HardwareStatus:
         robot: The connection to the robot.
         link: The connection to the rings; None: they are virtual.
         dry_run: Whether nothing is written, so that the slider cannot obey.
+        placed: See `describe_status`.
         stream: Where to print; None: stderr. A terminal also gets a status
             line, which is updated in place.
     """
@@ -47,11 +48,13 @@ class HardwareStatus:
         robot: RobotConnection,
         link: RingConnection | None,
         dry_run: bool,
+        placed: str = "placed",
         stream: TextIO | None = None,
     ):
         self._robot = robot
         self._link = link
         self._dry_run = dry_run
+        self._placed = placed
         self._stream = sys.stderr if stream is None else stream
         self._changes = Changes(dry_run=dry_run)
         self._lines: collections.deque[str] = collections.deque(maxlen=_WAITING)
@@ -123,6 +126,7 @@ class HardwareStatus:
             now=time.monotonic(),
             missed_before=self._missed,
             dry_run=self._dry_run,
+            placed=self._placed,
             # A character in the last column may break the line.
             width=width - 1,
         )
@@ -203,6 +207,7 @@ def describe_status(
     now: float,
     missed_before: int = 0,
     dry_run: bool = False,
+    placed: str = "placed",
     width: int = 1000,
 ) -> str:
     """Returns the status line, no wider than the terminal.
@@ -218,6 +223,8 @@ def describe_status(
         now: Host's time, s.
         missed_before: Packages missed before the run.
         dry_run: Whether nothing is written.
+        placed: What is done with the objects that the robot counts; empty: it
+            counts none.
         width: Of the terminal, characters.
     """
     distance = result.separation.distance
@@ -239,7 +246,7 @@ def describe_status(
         f"{ages} ms",
         _describe_sensors(result),
         gaps,
-        f"{result.products_placed} placed",
+        f"{result.products_placed} {placed}" if placed else "",
         "" if rings is None else rings.describe(now),
         result.slider.reason,
     ]

@@ -1,6 +1,6 @@
 """`tofssm simulate`: runs a scenario in simulation and writes its results."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 import contextlib
 import json
 import logging
@@ -21,6 +21,7 @@ from rich.progress import Progress as ProgressBar
 import typer
 
 from tofssm_drake.diagrams.monitor import tell_self_hit_coverage
+from tofssm_drake.diagrams.run_metadata import describe_task
 from tofssm_drake.diagrams.scenario import (
     Scenario,
     dump_scenario,
@@ -32,6 +33,7 @@ from tofssm_drake.errors import UserError, require
 from tofssm_drake.laws.config import CONFIGURATIONS
 from tofssm_drake.laws.tri_ssm_law import TriSsm
 from tofssm_drake.metrics.metrics import calc_summary
+from tofssm_drake.metrics.task_progress import TaskSteps, read_task_steps
 from tofssm_drake.people.bvh import BvhRecording
 from tofssm_drake.recording.samples import (
     Samples,
@@ -43,6 +45,11 @@ import tofssm_drake.scripts.options as options
 from tofssm_drake.visualization.recording import (
     start_recording,
     write_recording,
+)
+
+_STILL_COMPILING = (
+    "tofssm: the run ends when its kernels are loaded, or in the first run "
+    "compiled, which takes up to some minutes; a second signal ends it at once"
 )
 
 RESULTS = (
@@ -103,7 +110,8 @@ def simulate(
     )
     require_drawable(graphviz)
     display = make_display() if meshcat or recording else None
-    workcell = make_workcell(scenario, meshcat=display)
+    with options.blame(_blame_motion(scenario, human_motion)):
+        workcell = make_workcell(scenario, meshcat=display)
     coverage = tell_self_hit_coverage(scenario)
     # All that a user can get wrong is checked by now; nothing is written
     # before.
@@ -231,6 +239,12 @@ def override(
         scenario.check()
 
 
+def _blame_motion(scenario, human_motion):
+    """Returns the option that has set the recording, by setting."""
+    names = [] if human_motion is None else scenario.people
+    return {f"people.{name}.filename": "--human-motion" for name in names}
+
+
 def _choose(option, value, known):
     """Returns a known value in lower case."""
     require(
@@ -320,7 +334,9 @@ def make_folder(folder: Path) -> None:
 
 
 @contextlib.contextmanager
-def catch_stop(*, until_end: bool = False):
+def catch_stop(
+    *, until_end: bool = False, tell: Callable[[], str] | None = None
+):
     """Turns Ctrl-C, SIGTERM and SIGHUP into a flag: no row is cut off.
 
     A terminal sends SIGHUP when it is closed. A signal that is ignored, as by
@@ -329,6 +345,7 @@ def catch_stop(*, until_end: bool = False):
     Args:
         until_end: Whether to catch further signals too, until the end of the
             block. Otherwise the second one takes effect.
+        tell: Returns what to print on stderr when the first one comes.
 
     Yields:
         A list that is empty until a signal comes.
@@ -339,6 +356,10 @@ def catch_stop(*, until_end: bool = False):
         stopped.append(number)
         if not until_end:
             signal.signal(number, previous[number])
+        if tell is not None and len(stopped) == 1 and (text := tell()):
+            # What was interrupted may itself have been printing.
+            with contextlib.suppress(OSError, RuntimeError, ValueError):
+                print(text, file=sys.stderr, flush=True)
 
     previous = _handle_stop(stop)
     try:
@@ -400,16 +421,25 @@ def run(
         The samples, whose metadata say whether the run was interrupted, and
         how far it came.
     """
-    with catch_stop() as stopped, make_progress_bar() as bar:
+    progress = None
+
+    def tell():
+        return _STILL_COMPILING if progress is None else ""
+
+    with catch_stop(tell=tell) as stopped, make_progress_bar() as bar:
         run = Run(
             workcell=workcell,
             scenario=scenario,
             real_time_rate=1.0 if live else 0.0,
         )
         # The first step loads the kernels, or compiles them for half a minute.
+        counted = read_task_steps(
+            {"task": describe_task(scenario, workcell.station)}
+        )
         task = bar.add_task(
             "preparing (compiles in the first run)",
-            total=scenario.task.products,
+            total=counted.steps or scenario.simulation_duration,
+            steps="",
             time=0.0,
             factor=0.0,
         )
@@ -418,7 +448,10 @@ def run(
             bar.update(
                 task,
                 description="simulating",
-                completed=progress.products_placed,
+                completed=(
+                    progress.steps_done if counted.step else progress.time
+                ),
+                steps=counted.describe(progress.steps_done, with_total=True),
                 time=progress.time,
                 factor=progress.real_time_factor,
             )
@@ -432,7 +465,7 @@ def run(
 def summarize(scenario: Scenario, samples: Samples, progress: Progress) -> dict:
     """Returns the content of summary.json."""
     metadata = samples.metadata
-    return calc_summary(samples, products=scenario.task.products) | {
+    return calc_summary(samples) | {
         "interrupted": metadata["interrupted"],
         "real_time_factor": progress.real_time_factor,
         "seed": scenario.random_seed,
@@ -487,6 +520,14 @@ def tell_what_is_left(folder: Path) -> Iterator[None]:
         ) from None
 
 
+def describe_outcome(summary: dict) -> str:
+    """Returns how far the task came in which time."""
+    task = TaskSteps(step=summary["step"], steps=summary["steps"])
+    done = task.describe(summary["steps_done"])
+    time = f"{summary['simulated_s']:.1f} s"
+    return f"{done} in {time}" if done else f"ran for {time}"
+
+
 def _describe_stops(summary):
     if summary["startup_s"] >= summary["simulated_s"]:
         return "it never started"
@@ -497,8 +538,7 @@ def tell(summary: dict, out: Path) -> None:
     """Prints the outcome and where the report is."""
     end = " until interrupted" if summary["interrupted"] else ""
     print(
-        f"{count_of(summary['products_placed'], 'product')} placed in "
-        f"{summary['simulated_s']:.1f} s{end}; "
+        f"{describe_outcome(summary)}{end}; "
         f"{_describe_stops(summary)}, "
         f"{count_of(summary['contact_while_moving_events'], 'contact')} "
         "while moving; "
@@ -510,11 +550,11 @@ def tell(summary: dict, out: Path) -> None:
 
 
 def make_progress_bar() -> ProgressBar:
-    """Returns a bar of products with simulated time and real-time factor."""
+    """Returns a bar of the task with simulated time and real-time factor."""
     return ProgressBar(
         TextColumn("{task.description}"),
         BarColumn(),
-        TextColumn("{task.completed:.0f}/{task.total:.0f} products"),
+        TextColumn("{task.fields[steps]}"),
         TextColumn("{task.fields[time]:6.1f} s simulated"),
         TextColumn("{task.fields[factor]:5.1f} x real time"),
         TimeElapsedColumn(),

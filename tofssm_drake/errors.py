@@ -1,5 +1,7 @@
 """Errors of the user, reported in one line."""
 
+from collections.abc import Iterator
+import contextlib
 import math
 
 
@@ -15,6 +17,19 @@ def require(condition: bool, message: str) -> None:
     """Raises UserError(message) unless the condition holds."""
     if not condition:
         raise UserError(message)
+
+
+@contextlib.contextmanager
+def prefix_errors(where: str) -> Iterator[None]:
+    """Begins the message of a UserError with the setting that has led to it.
+
+    Args:
+        where: What the user calls it, e.g. its path of keys.
+    """
+    try:
+        yield
+    except UserError as error:
+        raise UserError(f"{where}: {error}") from None
 
 
 def check_range(

@@ -6,7 +6,7 @@ from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import FixedOffsetFrame
 
 from tofssm_drake.diagrams.sensors.parts import Monitor, Sensing
-from tofssm_drake.errors import require
+from tofssm_drake.errors import check_range, require
 from tofssm_drake.perception.ideal_separation import (
     IdealSeparation,
     IdealSeparationConfig,
@@ -32,6 +32,7 @@ class Link:
         """Raises UserError unless the link is complete."""
         require(bool(self.parent), f"{where}.parent: name a frame of the robot")
         self.X_PL.check(f"{where}.X_PL")
+        check_range(where, "radius", self.radius, 0.0, 10.0)
 
 
 @dc.dataclass(kw_only=True)

@@ -134,7 +134,10 @@ def add_lidar_to_monitor(
     system = monitor.builder.AddNamedSystem(
         f"separation_{name}",
         LidarSeparation(
-            config=lidar.separation,
+            config=dc.replace(
+                lidar.separation,
+                max_gap=lidar.separation.calc_max_gap(lidar.sensor.period),
+            ),
             k_max=settings.k_max,
             kinematics=monitor.kinematics,
             background=scan_background(

@@ -230,6 +230,7 @@ def _add_group_to_monitor(monitor, group, report, suffix) -> Sensing:
             k_max=settings.k_max,
             kinematics=monitor.select_links(group.name),
             geometries=geometries,
+            sensor_period=group.traits.period,
             name=group.name,
         ),
     )

@@ -41,7 +41,7 @@ def test_my_arm_ur5e():
     """Two rings and a lidar on a UR5e; nobody is there, nothing stops it."""
     samples, progress = run("my_arm.yaml", "UR5e", ALONE)
     assert samples.rings == ("upper_arm", "forearm", "low")
-    assert progress.products_placed == 1
+    assert progress.steps_done == 1
     assert (samples["robot_state"][samples["t"] > 0.2] == 2).all()
 
 
@@ -98,7 +98,7 @@ def test_rings_and_lidar():
     """Three sensors, two ring models: nobody is there, nothing stops it."""
     samples, progress = run("rings_and_lidar.yaml", "Default", ALONE)
     assert samples.rings == ("upper_arm", "forearm", "low")
-    assert progress.products_placed == 1
+    assert progress.steps_done == 1
     assert (samples["robot_state"][samples["t"] > 0.2] == 2).all()
 
 

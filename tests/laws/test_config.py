@@ -45,8 +45,14 @@ class TestSsmConfig(unittest.TestCase):
                 {"configuration": "Vo"},
                 r"^here\.configuration: 'Vo' is unknown, use one of vo, vr, sm",
             ),
-            ({"T_R": -0.1}, r"^here\.T_R: -0\.1 must be .* at least 0$"),
-            ({"B_min": math.nan}, r"^here\.B_min: nan must be .* at least 0$"),
+            (
+                {"T_R": -0.1},
+                r"^here\.T_R: -0\.1 must be at least 0 and at most 10 s$",
+            ),
+            (
+                {"B_min": math.nan},
+                r"^here\.B_min: nan must be at least 0 and at most 100 m$",
+            ),
             ({"d_R_sm": 0.4}, r"^here\.d_R_sm: 0\.4 must be at least d_C_sm"),
             ({"d_R_sm": math.inf}, r"^here\.d_R_sm: inf must"),
             ({"alpha_I": 0.0}, r"^here\.alpha_I: 0\.0 must be above 0"),

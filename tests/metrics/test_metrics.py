@@ -92,10 +92,39 @@ class TestSummary(unittest.TestCase):
         run.column["products_placed"] = make_steps(
             run["t"], (0, 0), (4.0, 2), (8.0, 3)
         ).astype(np.int16)
-        summary = mut.calc_summary(run, products=3)
+        run.metadata["products"] = 3
+        summary = mut.calc_summary(run)
         self.assertEqual(summary["products_placed"], 3)
         self.assertAlmostEqual(summary["task_time_s"], 8.0)
+        run.metadata["products"] = 10
         self.assertIsNone(mut.calc_summary(run)["task_time_s"])
+
+    def test_waypoints_are_counted_by_path_time(self):
+        run = make_run(10.0)
+        run.metadata["task"] = {
+            "step": "waypoint reached",
+            "steps": 4,
+            "step_time": [1.0, 3.0, 5.0, 7.0],
+        }
+        run.column["speed_fraction"] = make_steps(
+            run["t"], (0, 1.0), (4.0, 0.5)
+        )
+        summary = mut.calc_summary(run)
+        # 4 s at full speed, 6 s at half speed: 7 s of path time, but for the
+        # first tick, in which the rate rises from 0.
+        self.assertEqual(summary["steps_done"], 3)
+        self.assertNotIn("products_placed", summary)
+        run.column["speed_fraction"][-100:] = 1.0
+        summary = mut.calc_summary(run)
+        self.assertEqual((summary["steps_done"], summary["steps"]), (4, 4))
+        self.assertGreater(summary["task_time_s"], 9.0)
+
+    def test_no_task_counts_nothing(self):
+        run = make_run(1.0)
+        run.metadata["task"] = {"step": "", "steps": 0}
+        summary = mut.calc_summary(run)
+        self.assertEqual((summary["step"], summary["steps_done"]), ("", 0))
+        self.assertIsNone(summary["task_time_s"])
 
     def test_distances(self):
         """Only in range counts; errors 0.1 and 0.3 pooled."""

@@ -24,35 +24,79 @@ def make_samples(fault):
     )
 
 
+def make_link_samples(*, tool, base, deciding, state, reason):
+    """Makes a run of six ticks with the codes of two links."""
+    return Samples(
+        column={
+            "t": 0.008 * np.arange(6),
+            "robot_state": np.array(state, dtype=np.int8),
+            "deciding_link": np.array(deciding, dtype=np.int8),
+            "reason": np.array(reason, dtype=object),
+            "tool_health": np.array(tool, dtype=np.int8),
+            "base_health": np.array(base, dtype=np.int8),
+            "tool_sequence": np.arange(6),
+            "base_sequence": np.arange(6),
+        },
+        metadata={"rings": ["tool", "base"]},
+    )
+
+
 class TestFindFaultedLinks(unittest.TestCase):
     def test_causes_that_differ_in_numbers_are_one(self):
-        samples = make_samples([[0, 0]])
-        samples.column["reason"] = np.array(
-            [
+        samples = make_link_samples(
+            tool=[0, 2, 0, 2, 0, 0],
+            base=[0, 0, 0, 0, 0, 0],
+            deciding=[-1, 0, 1, 0, 1, 1],
+            state=[2, 0, 0, 0, 0, 0],
+            reason=[
                 "",
-                "stop: tool is faulted, samples 46 ms old, 34 ms allowed",
-                "stop: tool is faulted, samples 61 ms old, 34 ms allowed",
-                "stop: base at 0.500 m <= d_C 0.665 m",
-                "reduced: tool is degraded, sensor 3: declared dead",
-                "stop: base is faulted, unseen self-hit: base sensor 2",
-            ],
-            dtype=object,
-        )
-        found = mut.find_faulted_links(samples)
-        self.assertEqual(
-            [(f.link, f.cause) for f in found],
-            [
-                ("tool", "samples 46 ms old, 34 ms allowed"),
-                ("tool", "sensor 3: declared dead"),
-                ("base", "unseen self-hit: base sensor 2"),
+                "no words in common: 46 ms",
+                "somebody is near",
+                "no words in common: 61 ms",
+                *["somebody is near"] * 2,
             ],
         )
-        np.testing.assert_allclose(
-            [f.first for f in found], [0.008, 0.032, 0.04]
+        (found,) = mut.find_faulted_links(samples)
+        self.assertEqual(found.link, "tool")
+        self.assertEqual(found.cause, "no words in common: 46 ms")
+        self.assertAlmostEqual(found.first, 0.008)
+        self.assertAlmostEqual(found.duration, 0.016)
+
+    def test_a_faulted_link_counts_whoever_decides(self):
+        samples = make_link_samples(
+            tool=[0, 0, 2, 2, 2, 0],
+            base=[0, 0, 0, 0, 0, 0],
+            deciding=[-1, 1, 1, 1, 1, 1],
+            state=[2, 0, 0, 0, 0, 0],
+            reason=["", *["somebody is near"] * 5],
         )
-        np.testing.assert_allclose(
-            [f.duration for f in found], [0.016, 0.008, 0.0], atol=1e-12
+        (found,) = mut.find_faulted_links(samples)
+        self.assertEqual((found.link, found.cause), ("tool", "faulted"))
+        self.assertAlmostEqual(found.duration, 0.024)
+
+    def test_a_degraded_link_counts_while_it_decides(self):
+        samples = make_link_samples(
+            tool=[3, 3, 3, 3, 3, 3],
+            base=[0, 0, 0, 0, 0, 0],
+            deciding=[0, 0, 1, 1, -1, -1],
+            state=[1, 1, 0, 0, 2, 2],
+            reason=["dead", "dead", "near", "near", "", ""],
         )
+        (found,) = mut.find_faulted_links(samples)
+        self.assertEqual((found.link, found.cause), ("tool", "dead"))
+        self.assertAlmostEqual(found.duration, 0.016)
+
+    def test_before_the_first_sample_there_is_no_fault(self):
+        samples = make_link_samples(
+            tool=[2] * 6,
+            base=[2] * 6,
+            deciding=[0] * 6,
+            state=[0] * 6,
+            reason=["no sample yet"] * 6,
+        )
+        for link in ("tool", "base"):
+            samples.column[f"{link}_sequence"][:] = -1
+        self.assertEqual(mut.find_faulted_links(samples), [])
 
 
 class TestFindFaultedSensors(unittest.TestCase):

@@ -473,7 +473,7 @@ def mask_in_full(config, *, scan, before, time, table, cell, ring):
             cell["sensor"].tolerance,
             cell["sensor"].min_range,
             cell["sensor"].max_range,
-            config.max_age,
+            config.calc_max_age(cell["sensor"]),
         )
         return reading, fault, counted, nearest, farthest
 
@@ -1004,7 +1004,7 @@ class TestOcclusionMask(unittest.TestCase):
             )
             last = int(np.ceil(0.3 / period))
             # As old as a sample may be, and a look back from there.
-            time = period * last - config.max_age + 1e-6
+            time = period * last - 0.072 + 1e-6
             for tick in range(last + 1):
                 self.fix_report(0.5 + 1.25 * (period * tick - time))
                 if tick == last:

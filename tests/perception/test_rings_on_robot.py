@@ -162,7 +162,7 @@ class TestReadingsOfTheRobotItself(unittest.TestCase):
                     config.traits.tolerance,
                     config.traits.min_range,
                     config.traits.max_range,
-                    mask.max_age,
+                    mask.calc_max_age(config.traits),
                 )
                 self.assertNotIn(Reading.VALID, reading)
                 self.assertEqual(

@@ -131,16 +131,16 @@ class TestReport(unittest.TestCase):
         self.assertIn("0 of 10 products were placed", text)
 
     def test_a_robot_that_never_started(self):
-        summary = calc_summary(make_run(2.0, geometry=False), products=10)
+        summary = calc_summary(make_run(2.0, geometry=False))
         summary["startup_s"] = summary["simulated_s"]
-        verdict = dict(mut.make_verdict(summary, products=10))
+        verdict = dict(mut.make_verdict(summary))
         self.assertIn("never started: it was told to stop", verdict["bad"])
 
     def test_real_sensors_tell_nothing_of_contacts(self):
         run = make_run(2.0, geometry=False)
-        summary = calc_summary(run, products=10) | {"person_is_known": False}
+        summary = calc_summary(run) | {"person_is_known": False}
         self.assertIsNone(summary["min_true_distance_m"])
-        text = str(mut.make_verdict(summary, products=10))
+        text = str(mut.make_verdict(summary))
         self.assertNotIn("Nobody", text)
         self.assertIn("is not known", text)
 
@@ -148,7 +148,7 @@ class TestReport(unittest.TestCase):
         run = make_run(2.0, geometry=False)
         run["robot_state"][50:] = 0
         run.metadata["human"] = "not known: real rings"
-        summary = calc_summary(run, products=10) | {"person_is_known": False}
+        summary = calc_summary(run) | {"person_is_known": False}
         page = mut.make_report(run, summary)
         for word in ("nobody<", "Nobody", "simulated world", "walking person"):
             self.assertNotIn(word, page)
@@ -157,7 +157,7 @@ class TestReport(unittest.TestCase):
         self.assertNotIn("true distance with", page)
         self.assertNotIn("measured and true", page)
         # In a simulation it is known.
-        page = mut.make_report(run, calc_summary(run, products=10))
+        page = mut.make_report(run, calc_summary(run))
         self.assertIn("nobody<", page)
 
     def test_no_rows(self):
@@ -232,7 +232,7 @@ class TestWords(unittest.TestCase):
                     run["t"] < 10.0 * share, 0.5, 1.0
                 )
             summary = calc_summary(run)
-            verdict = mut.make_verdict(summary, products=10)
+            verdict = mut.make_verdict(summary)
             text = " ".join(sentence for _, sentence in verdict)
             self.assertIn("0 of 10 products were placed in the 10.0 s", text)
             self.assertEqual("For 70 % of that time" in text, told)
@@ -249,9 +249,7 @@ class TestWords(unittest.TestCase):
         run["products_placed"][-1] = 10
         grades = dict(
             (sentence, grade)
-            for grade, sentence in mut.make_verdict(
-                calc_summary(run), products=10
-            )
+            for grade, sentence in mut.make_verdict(calc_summary(run))
         )
         self.assertEqual(
             grades[
@@ -268,15 +266,14 @@ class TestWords(unittest.TestCase):
             (1, 0, "0 of 1 product was placed in the 2.0 s"),
         ):
             run["products_placed"][-1] = placed
-            verdict = mut.make_verdict(
-                calc_summary(run, products=products), products=products
-            )
+            run.metadata["products"] = products
+            verdict = mut.make_verdict(calc_summary(run))
             self.assertIn(sentence, str(verdict))
         run["true_distance"][50] = -0.01
-        verdict = mut.make_verdict(calc_summary(run), products=10)
+        verdict = mut.make_verdict(calc_summary(run))
         self.assertIn("while it stood still", verdict[0][1])
         summary = calc_summary(_make_contact_run())
-        self.assertEqual(mut.make_verdict(summary, products=10)[0][0], "bad")
+        self.assertEqual(mut.make_verdict(summary)[0][0], "bad")
 
     def test_seen_contact(self):
         run = _make_contact_run()

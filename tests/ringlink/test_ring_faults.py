@@ -3,7 +3,6 @@ import unittest
 import numpy as np
 
 import tofssm_drake.ringlink.ring_faults as mut
-from tofssm_drake.ringlink.ring_receiver import RingLinkConfig
 
 
 def count(samples):
@@ -103,16 +102,14 @@ class TestFindFrozenSensors(unittest.TestCase):
         for i in range(len(same)):
             row = (row + 1) * same[i]
             longest = max(longest, row.max())
-        self.assertLess(longest, RingLinkConfig().frozen_samples - 5)
+        self.assertLess(longest, mut.FROZEN_SAMPLES - 5)
         # Nor is a whole ring, of which few sensors see something.
         for sensors in (2, 3, 8):
             longest = row = 0
             for i in range(len(same)):
                 row = (row + 1) * bool(same[i, :sensors].all())
                 longest = max(longest, row)
-            self.assertLess(
-                longest * sensors, RingLinkConfig().frozen_samples - 4
-            )
+            self.assertLess(longest * sensors, mut.FROZEN_SAMPLES - 4)
 
 
 if __name__ == "__main__":

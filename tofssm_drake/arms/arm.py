@@ -33,6 +33,12 @@ TCP = "tcp"
 GRIPPER = f"package://{models.PACKAGE}/gripper/gripper.urdf"
 """The tool that comes with the package."""
 
+_TOOL = "robot.tool"
+
+# A joint's greatest speed, acceleration and effort are far below this in any
+# unit.
+_MOST = 1e6
+
 SENSED = ("perception", "proximity", "capsules")
 """Which of an arm's shapes the sensors see."""
 
@@ -112,10 +118,10 @@ class ArmMount:
         if self.tool:
             require(
                 not has_own,
-                f"robot.tool: the arm's model has a frame {TCP!r} and a tool "
+                f"{_TOOL}: the arm's model has a frame {TCP!r} and a tool "
                 "of its own; leave this empty",
             )
-            instance = add_arm_file(plant, self.tool).instance
+            instance = add_arm_file(plant, self.tool, _TOOL).instance
             body = plant.get_body(plant.GetBodyIndices(instance)[0])
             plant.WeldFrames(frame, body.body_frame())
             if plant.HasFrameNamed(TCP, instance):
@@ -171,8 +177,14 @@ class Arm(ArmMount):
         )
         for name in ("joint_speed", "joint_acceleration", "joint_effort"):
             require(
-                all(value > 0.0 for value in getattr(self, name)),
-                f"{where}.{name}: must be greater than 0",
+                all(0.0 < value <= _MOST for value in getattr(self, name)),
+                f"{where}.{name}: must be greater than 0 and at most {_MOST:g}",
+            )
+        for name, position in self.fixed_joints.items():
+            require(
+                abs(position) <= 100.0,
+                f"{where}.fixed_joints.{name}: {position:g} must be within 100 "
+                "rad or m",
             )
         self.read_limits(where)
 
@@ -271,7 +283,8 @@ class Arm(ArmMount):
         )
 
     def _list_foreign(self):
-        return read_foreign_meshes(self.file) + read_foreign_meshes(self.tool)
+        own = read_foreign_meshes(self.file)
+        return own + read_foreign_meshes(self.tool, _TOOL)
 
     def read_limits(self, where: str = "robot") -> ArmLimits:
         """Returns what the joints can do.

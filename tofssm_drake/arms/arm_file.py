@@ -127,17 +127,20 @@ def _resolve(packages, url, where):
     return path.resolve()
 
 
-def add_arm_file(plant: MultibodyPlant, file: str) -> ParsedArm:
+def add_arm_file(
+    plant: MultibodyPlant, file: str, where: str = "robot.file"
+) -> ParsedArm:
     """Reads a description into a plant.
 
     Args:
         plant: Not finalized.
         file: A path, or a package:// URL.
+        where: What the user calls this, for the message.
 
     Raises:
         UserError: It cannot be found or read.
     """
-    path = find_model_file(file)
+    path = find_model_file(file, where)
     packages = make_package_map()
     _add_own_package(packages, path)
     parser = Parser(plant)
@@ -147,20 +150,31 @@ def add_arm_file(plant: MultibodyPlant, file: str) -> ParsedArm:
     foreign, effort = (), {}
     try:
         if path.suffix == ".urdf":
-            text, foreign, effort = _split_urdf(path, packages)
+            text, foreign, effort = _split_urdf(path, packages, where)
         if foreign:
             found = parser.AddModelsFromString(text, "urdf")
         else:
             found = parser.AddModels(str(path))
-    except (RuntimeError, ElementTree.ParseError) as error:
-        raise UserError(f"{file}: {' '.join(str(error).split())}") from None
-    require(len(found) == 1, f"{file}: must have one model")
+    except (RuntimeError, ElementTree.ParseError, ValueError) as error:
+        if isinstance(error, UserError):
+            raise
+        raise _tell_unreadable(where, file, error) from None
+    require(
+        len(found) == 1,
+        f"{where}: {file}: must have one model, has {len(found)}",
+    )
     return ParsedArm(
         instance=found[0],
         foreign=foreign,
         effort=effort,
         constraints=tuple(set(plant.GetConstraintIds()) - before),
     )
+
+
+def _tell_unreadable(where, file, error):
+    """Returns the error of a file that cannot be read, in one line."""
+    message = " ".join(str(error).split()).removeprefix("error: ")
+    return UserError(f"{where}: {file}: {message}")
 
 
 def add_workcell_file(
@@ -186,9 +200,8 @@ def add_workcell_file(
     check_model(path, packages, f"{where}: {file}")
     try:
         found = parser.AddModels(str(path))
-    except RuntimeError as error:
-        message = " ".join(str(error).split())
-        raise UserError(f"{where}: {file}: {message}") from None
+    except (RuntimeError, ValueError) as error:
+        raise _tell_unreadable(where, file, error) from None
     _require_fixed(plant, found, f"{where}: {file}")
 
 
@@ -211,13 +224,17 @@ def _add_own_package(packages, path):
     """Adds the ROS package that a file is in."""
     for folder in path.parents:
         if (folder / "package.xml").is_file():
-            name = ElementTree.parse(folder / "package.xml").findtext("name")
+            try:
+                package = ElementTree.parse(folder / "package.xml")
+            except ElementTree.ParseError:
+                return  # Of somebody else.
+            name = package.findtext("name")
             if name and not packages.Contains(name):
                 packages.Add(name, str(folder))
             return
 
 
-def _split_urdf(path, packages):
+def _split_urdf(path, packages, where):
     """Returns a URDF for Drake, its foreign meshes and limits of effort."""
     root = ElementTree.parse(path).getroot()
     foreign = []
@@ -227,7 +244,9 @@ def _split_urdf(path, packages):
                 mesh = element.find("geometry/mesh")
                 if mesh is None:
                     continue
-                file = _find_mesh(mesh.get("filename"), path, packages)
+                file = _find_mesh(
+                    mesh.get("filename") or "", path, packages, where
+                )
                 if file.suffix.lower() not in _FOREIGN:
                     mesh.set("filename", str(file))
                     continue
@@ -246,10 +265,10 @@ def _split_urdf(path, packages):
     return text, tuple(foreign), effort
 
 
-def _find_mesh(name, path, packages):
+def _find_mesh(name, path, packages, where):
     """Returns the path of a mesh file that a URDF names."""
     if name.startswith("package://"):
-        return _resolve(packages, name, str(path))
+        return _resolve(packages, name, f"{where}: {path}")
     return (path.parent / name.removeprefix("file://")).resolve()
 
 
@@ -309,18 +328,21 @@ def fix_joints(
         plant.WeldFrames(parent, child, X_FM)
 
 
-def read_foreign_meshes(file: str) -> tuple[ForeignMesh, ...]:
+def read_foreign_meshes(
+    file: str, where: str = "robot.file"
+) -> tuple[ForeignMesh, ...]:
     """Returns the meshes of a description that Drake cannot read.
 
     Args:
         file: A path, or a package:// URL; empty: none.
+        where: What the user calls this, for the message.
 
     Raises:
         UserError: It cannot be found or read.
     """
     if not file:
         return ()
-    return add_arm_file(MultibodyPlant(0.0), file).foreign
+    return add_arm_file(MultibodyPlant(0.0), file, where).foreign
 
 
 def free_from_world(plant: MultibodyPlant, body: RigidBody) -> None:

@@ -79,7 +79,7 @@ class UrArm(ArmMount):
         """
         data = read_ur_data(self.model)
         if data.file:
-            add_arm_file(plant, data.file)
+            add_arm_file(plant, data.file, "robot.model")
         else:
             _add_ur_bodies(plant, data, self.model)
         base = plant.GetFrameByName("base")
@@ -104,7 +104,7 @@ class UrArm(ArmMount):
             plant,
             scene_graph,
             sensed="perception",
-            foreign=read_foreign_meshes(self.tool),
+            foreign=read_foreign_meshes(self.tool, "robot.tool"),
         )
 
     def read_limits(self, where: str = "robot") -> ArmLimits:

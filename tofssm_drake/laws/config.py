@@ -1,11 +1,25 @@
 """Settings of the safety law."""
 
 import dataclasses as dc
-import math
 
-from tofssm_drake.errors import require
+from tofssm_drake.errors import check_range, require
+from tofssm_drake.laws.speed_fraction import ACCELERATIONS, RATES
 
 CONFIGURATIONS = ("vo", "vr", "sm")
+
+# Unit and upper bound of what must be above 0. An arm needs seconds to stop,
+# not minutes, and moves at metres per second; no cell is larger than 100 m; a
+# sample of 10 s ago says nothing of a person who walks.
+_MOST = {
+    "T_stop": ("s", 60.0),
+    "T_red": ("s", 60.0),
+    "V_lmax": ("m/s", 100.0),
+    "k_omax": ("m/s", 100.0),
+    "k_lmax": ("m/s", 100.0),
+    "C_dC": ("m", 100.0),
+    "d_C_sm": ("m", 100.0),
+    "deadline": ("s", 10.0),
+}
 
 
 @dc.dataclass(kw_only=True)
@@ -92,33 +106,31 @@ class SsmConfig:
             f"{where}.configuration: {self.configuration!r} is unknown, use "
             f"one of {', '.join(CONFIGURATIONS)}",
         )
-        for name in (
-            "T_stop",
-            "T_red",
-            "V_lmax",
-            "k_omax",
-            "k_lmax",
-            "C_dC",
-            "d_C_sm",
-            "deadline",
-            "rho_max_rate",
-            "rho_max_acceleration",
-        ):
+        for name, (unit, most) in _MOST.items():
             value = getattr(self, name)
             require(
-                math.isfinite(value) and value > 0.0,
-                f"{where}.{name}: {value!r} must be a number greater than 0",
+                0.0 < value <= most,
+                f"{where}.{name}: {value!r} must be greater than 0 and at most "
+                f"{most:g} {unit}",
             )
-        for name in ("T_R", "B_min"):
+        for name, unit, most in (("T_R", "s", 10.0), ("B_min", "m", 100.0)):
             value = getattr(self, name)
             require(
-                math.isfinite(value) and value >= 0.0,
-                f"{where}.{name}: {value!r} must be a number of at least 0",
+                0.0 <= value <= most,
+                f"{where}.{name}: {value!r} must be at least 0 and at most "
+                f"{most:g} {unit}",
             )
         require(
-            math.isfinite(self.d_R_sm) and self.d_R_sm >= self.d_C_sm,
+            self.d_C_sm <= self.d_R_sm <= 100.0,
             f"{where}.d_R_sm: {self.d_R_sm!r} must be at least d_C_sm "
-            f"({self.d_C_sm!r})",
+            f"({self.d_C_sm!r}) and at most 100 m",
+        )
+        check_range(where, "rho_max_rate", self.rho_max_rate, *RATES)
+        check_range(
+            where,
+            "rho_max_acceleration",
+            self.rho_max_acceleration,
+            *ACCELERATIONS,
         )
         for name in ("alpha_I", "alpha_D"):
             value = getattr(self, name)

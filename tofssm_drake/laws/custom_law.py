@@ -52,7 +52,7 @@ class Custom:
             f"{where}: what it returns has no method `make(links, offset, "
             "period)`",
         )
-        law.traits.ramp.check(f"{where}: traits.ramp")
+        law.traits.check(f"{where}: traits")
         try:
             system = law.make(
                 links=_TRIAL, offset=np.zeros(len(_TRIAL)), period=_TICK

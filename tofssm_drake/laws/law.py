@@ -7,6 +7,7 @@ from typing import Protocol
 import numpy as np
 from pydrake.systems.framework import System
 
+from tofssm_drake.errors import check_range
 from tofssm_drake.laws.speed_fraction import SpeedRamp
 from tofssm_drake.messages import LinkSignal
 
@@ -44,6 +45,23 @@ class LawTraits:
     """The speed fraction when it is slow, or a typical one, in (0, 1)."""
     ramp: SpeedRamp = dc.field(default_factory=SpeedRamp)
     """How fast the speed fraction may follow its target."""
+
+    def check(self, where: str) -> None:
+        """Raises UserError unless every number is possible.
+
+        Args:
+            where: What the user calls these traits.
+        """
+        for name, low, high in (
+            ("deadline", 0.001, 10.0),
+            ("T_R", 0.0, 10.0),
+            ("T_stop", 0.0, 60.0),
+            ("C", 0.0, 100.0),
+            ("k_max", 0.01, 100.0),
+            ("reduced_fraction", 0.001, 0.999),
+        ):
+            check_range(where, name, getattr(self, name), low, high)
+        self.ramp.check(f"{where}.ramp")
 
 
 class Law(Protocol):

@@ -17,8 +17,14 @@ from ruckig import (
     Trajectory,
 )
 
-from tofssm_drake.errors import require, require_period
+from tofssm_drake.errors import check_range, require_period
 from tofssm_drake.messages import make_empty_decision
+
+RATES = 0.001, 1e4
+ACCELERATIONS = 0.001, 1e6
+"""Least and greatest rate, 1/s, and acceleration, 1/s^2, of a speed fraction:
+slower ones never reach full speed in a run, faster ones are a step within a
+control tick."""
 
 # Rounding error of a completed profile.
 _TOLERANCE = 1e-9
@@ -45,12 +51,11 @@ class SpeedRamp:
         Args:
             where: Name of these settings in the user's input.
         """
-        for name in ("max_rate", "max_acceleration"):
-            value = getattr(self, name)
-            require(
-                math.isfinite(value) and value > 0.0,
-                f"{where}.{name}: {value!r} must be a number greater than 0",
-            )
+        for name, low, high in (
+            ("max_rate", *RATES),
+            ("max_acceleration", *ACCELERATIONS),
+        ):
+            check_range(where, name, getattr(self, name), low, high)
 
 
 @functools.lru_cache(maxsize=16)

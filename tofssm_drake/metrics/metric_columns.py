@@ -11,9 +11,9 @@ def _count(meaning):
 _TASK = {
     "simulated_s": Column(unit="s", meaning="length of the record"),
     "products_placed": _count("products placed"),
-    "finished": Column(meaning="1: all products were placed, 0: not"),
+    "finished": Column(meaning="1: the task was finished, 0: not"),
     "task_time_s": Column(
-        unit="s", meaning="time until the last product was placed (t_HRI)"
+        unit="s", meaning="time until the task was finished (t_HRI)"
     ),
     "nominal_time_s": Column(
         unit="s", meaning="what the same motion takes at full speed (t_NoHRI)"

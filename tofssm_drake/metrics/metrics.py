@@ -34,6 +34,7 @@ from tofssm_drake.metrics.approach import (
     find_neighbours,
     is_seen,
 )
+from tofssm_drake.metrics.task_progress import count_steps, read_task_steps
 from tofssm_drake.recording.samples import Samples
 
 MOVING_SPEED = 0.01
@@ -134,8 +135,10 @@ class Contact:
     """That speed at the first tick, m/s."""
     robot_body: str
     """The robot's touching body at the first tick."""
+    person: str
+    """Who was touched at the first tick; empty: nobody has a name."""
     person_part: str
-    """The person's touching part at the first tick."""
+    """That person's touching part."""
     robot_state: RobotState
     """Robot state at the first tick."""
     views: tuple[RingView, ...]
@@ -300,9 +303,10 @@ def find_contacts(samples: Samples) -> list[Contact]:
                 max_speed=float(speed[first : last + 1].max()),
                 first_speed=float(speed[first]),
                 robot_body=_name(samples, "robot_bodies", "robot_body", first),
+                person=samples.find_nearest_person(first),
                 person_part=_name(
                     samples, "person_parts", "person_part", first
-                ),
+                ).rpartition("'s ")[2],
                 robot_state=RobotState(samples["robot_state"][first]),
                 views=tuple(
                     make_ring_view(samples, ring, first)
@@ -400,28 +404,32 @@ def calc_detection(
     return (None if share is None else float(share)), float(ghost)
 
 
-def calc_summary(samples: Samples, *, products: int = 10) -> dict:
+def calc_summary(samples: Samples) -> dict:
     """Returns the numbers of a run.
 
     Args:
         samples: The run.
-        products: Number of products of the task.
 
     Returns:
         Plain values (JSON; None where a number does not exist):
 
-        - `products_placed`; `task_time_s`, when the last product of the task
-          was placed (None: not finished); `simulated_s`, length of the run.
+        - `step`, what the task counts, e.g. "product placed" (empty: it
+          counts nothing), `steps`, how many there are, and `steps_done`;
+          `products_placed`, if these are the steps; `task_time_s`, when the
+          last step was done (None: not finished); `simulated_s`, length of
+          the run.
         - `stop_events`, `reduce_events`; `stopped_s`, `reduced_s`,
           `normal_s`, time in each state after start-up; `startup_s` before.
         - `slow_episodes`, `standstills`: see the top of this module.
         - `min_true_distance_m` between the surfaces of robot and person
           (0: they touched; None: nobody there).
         - `contact_while_moving_events`, `contact_while_moving_max_mps`.
+        - `people`, their names; `nearest_person`, who was at that distance
+          (None: nobody); `contacts_by_person`, by name.
         - `contacts`, one entry each: `time_s`, `speed_mps`, `robot_body`,
-          `person_part`; `cause` (see `approach.CAUSES`), `ring` that should
-          have stopped the robot first, `sensors` beside the gap, `late_s`
-          (None: it never stopped).
+          `person`, `person_part`; `cause` (see `approach.CAUSES`), `ring`
+          that should have stopped the robot first, `sensors` beside the gap,
+          `late_s` (None: it never stopped).
         - `late_stops`: see `approach.count_late_stops`; `stop_due_s`, time
           after start-up in which a link's true distance is at or under its
           critical distance.
@@ -438,18 +446,22 @@ def calc_summary(samples: Samples, *, products: int = 10) -> dict:
     """
     events = find_state_events(samples)
     return (
-        _summarize_task(samples, products)
+        _summarize_task(samples)
         | _summarize_states(samples, events)
         | _summarize_safety(samples)
         | _summarize_sensing(samples)
     )
 
 
-def _summarize_task(samples, products):
-    placed = samples["products_placed"]
-    finished = np.flatnonzero((placed >= products) & bool(products))
+def _summarize_task(samples):
+    task, done = read_task_steps(samples.metadata), count_steps(samples)
+    finished = np.flatnonzero((done >= task.steps) & bool(task.steps))
+    most = int(done.max(initial=0))
     return {
-        "products_placed": int(placed.max(initial=0)),
+        "step": task.step,
+        "steps": task.steps,
+        "steps_done": most,
+        **({"products_placed": most} if task.step == "product placed" else {}),
         "task_time_s": (
             float(samples["t"][finished[0]]) if len(finished) else None
         ),
@@ -483,6 +495,7 @@ def _summarize_safety(samples):
     has_person = np.isfinite(distance).any()
     start = find_start(samples["robot_state"])
     due = find_any_due(samples)[start:]
+    people = samples.metadata.get("people", ())
     return {
         "min_true_distance_m": (
             max(float(distance.min()), 0.0) if has_person else None
@@ -491,6 +504,15 @@ def _summarize_safety(samples):
         "contact_while_moving_max_mps": max(
             (c.max_speed for c in contacts), default=0.0
         ),
+        "people": list(people),
+        "nearest_person": (
+            samples.find_nearest_person(int(distance.argmin())) or None
+            if has_person
+            else None
+        ),
+        "contacts_by_person": {
+            name: sum(c.person == name for c in contacts) for name in people
+        },
         "contacts": [_summarize_contact(c) for c in contacts],
         "late_stops": count_late_stops(samples, start),
         "stop_due_s": float(calc_periods(samples["t"])[start:][due].sum()),
@@ -538,6 +560,7 @@ def _summarize_contact(contact):
         "time_s": contact.time,
         "speed_mps": contact.max_speed,
         "robot_body": contact.robot_body,
+        "person": contact.person or None,
         "person_part": contact.person_part,
         "cause": approach.cause,
         "ring": approach.ring or None,

@@ -64,6 +64,7 @@ from tofssm_drake.metrics.metrics import (
     find_start,
     find_state_events,
 )
+from tofssm_drake.metrics.task_progress import count_steps, read_task_steps
 from tofssm_drake.recording.samples import Samples
 
 NOMINAL_CRITICAL_DISTANCE = 0.5
@@ -234,7 +235,7 @@ def calc_run_metrics(samples: Samples) -> dict[str, float]:
     """Returns the paper's metrics of a run, one flat row of numbers.
 
     Args:
-        samples: The run. Of `metadata` it reads `products` (default 10) and
+        samples: The run. Of `metadata` it reads what the task counts and
             `link_offset_m`, by link the distance from the point that is
             measured from to the surface it stands for (default: 0).
 
@@ -286,9 +287,9 @@ def _mean(values):
 def _calc_productivity(samples):
     t, periods = samples["t"], calc_periods(samples["t"])
     placed = samples["products_placed"]
-    products = int(samples.metadata.get("products", 10))
-    last = np.flatnonzero(placed >= products)
-    finished = len(last) > 0 and products > 0
+    steps = read_task_steps(samples.metadata).steps
+    last = np.flatnonzero(count_steps(samples) >= steps)
+    finished = len(last) > 0 and steps > 0
     end = int(last[0]) if finished else len(t)
     t_no_hri = float((samples["speed_fraction"] * periods)[:end].sum())
     t_hri = float(periods[:end].sum())

@@ -5,7 +5,12 @@ import re
 
 import numpy as np
 
-from tofssm_drake.messages import FAULT_NAMES, SensorFault
+from tofssm_drake.messages import (
+    FAULT_NAMES,
+    RingHealth,
+    RobotState,
+    SensorFault,
+)
 from tofssm_drake.recording.samples import Samples
 
 
@@ -58,46 +63,72 @@ class FaultedLink:
 
     link: str
     cause: str
-    """As first reported."""
+    """The law's reason as first recorded, or the name of the link's health."""
     duration: float
     """For how long it decided in all, s."""
     first: float
     """When it was first reported, s."""
 
 
-_LINK_REASON = re.compile(
-    r"(?:stop|reduced): (\S+) is (?:faulted|degraded), (.+)"
-)
-
-
 def find_faulted_links(samples: Samples) -> list[FaultedLink]:
     """Returns for what faults of links the robot stopped or was slow.
 
-    Faults of the ring's link (loss, age, clock), of the self-hit watch and of
-    sensors alike: whatever decided. Causes that differ in numbers only are one.
+    A faulted link stops the robot, whoever else does; a degraded one counts
+    while it decides. Faults of the ring's link (loss, age, clock), of the
+    self-hit watch and of sensors alike. Reasons that differ in numbers only are
+    one.
     """
     t = samples["t"]
-    reasons = samples["reason"]
     if not len(t):
         return []
     tick = np.diff(t, append=t[-1])
     found: dict[tuple[str, str], FaultedLink] = {}
-    for reason in dict.fromkeys(reasons):
-        match = _LINK_REASON.match(reason)
-        if not match:
-            continue
-        link, cause = match.groups()
-        key = link, re.sub(r"\d+(\.\d+)?", "", cause)
-        rows = np.flatnonzero(reasons == reason)
-        before = found.get(key)
-        found[key] = FaultedLink(
-            link=link,
-            cause=before.cause if before else cause,
-            duration=float(tick[rows].sum())
-            + (before.duration if before else 0.0),
-            first=before.first if before else float(t[rows[0]]),
-        )
-    return list(found.values())
+    for i, link in enumerate(samples.rings):
+        starts, ends = _find_stretches(_is_at_fault(samples, i))
+        for start, end in zip(starts, ends, strict=True):
+            cause = _tell_cause(samples, i, start)
+            key = link, re.sub(r"\d+(\.\d+)?", "", cause)
+            before = found.get(key)
+            found[key] = FaultedLink(
+                link=link,
+                cause=before.cause if before else cause,
+                duration=float(tick[start : end + 1].sum())
+                + (before.duration if before else 0.0),
+                first=before.first if before else float(t[start]),
+            )
+    return sorted(found.values(), key=lambda fault: fault.first)
+
+
+def _is_at_fault(samples, i):
+    """Returns whether a link's health stopped or slowed the robot, (k,).
+
+    Without its first sample a link is faulted, too; that is no fault yet.
+    """
+    link = samples.rings[i]
+    health = samples[f"{link}_health"]
+    state = samples["robot_state"]
+    is_faulted = (health == RingHealth.FAULTED) & (state == RobotState.STOP)
+    is_degraded = (health == RingHealth.DEGRADED) & (state < RobotState.NORMAL)
+    decides = _find_deciding(samples) == i
+    return (is_faulted | (is_degraded & decides)) & (
+        samples[f"{link}_sequence"] >= 0
+    )
+
+
+def _find_deciding(samples):
+    """Returns the index of the link that decides, -1: none, (k,)."""
+    if "deciding_link" in samples:
+        return samples["deciding_link"]
+    # Of an earlier version.
+    return np.full(len(samples), -1)
+
+
+def _tell_cause(samples, i, row):
+    """Returns why a link is at fault, in the law's words if it decides."""
+    if _find_deciding(samples)[row] == i and samples["reason"][row]:
+        return str(samples["reason"][row])
+    health = samples[f"{samples.rings[i]}_health"][row]
+    return RingHealth(int(health)).name.lower()
 
 
 def _find_pairs(fault):

@@ -19,6 +19,17 @@ from pydrake.systems.framework import LeafSystem
 from tofssm_drake.people.motion import HumanMotion, capsule_ends
 from tofssm_drake.people.skeleton import CAPSULES, COLOURS, calc_capsule_poses
 
+SHIRTS = (
+    COLOURS["shirt"],
+    (0.00, 0.45, 0.70, 1.0),
+    (0.80, 0.47, 0.65, 1.0),
+    (0.94, 0.89, 0.26, 1.0),
+    (0.34, 0.71, 0.91, 1.0),
+    (0.10, 0.10, 0.10, 1.0),
+)
+"""Shirts by which several people are told apart, RGBA: high-visibility orange,
+then Okabe and Ito's blue, purple, yellow and sky, and black."""
+
 _SHORTEST_CAPSULE = 1e-3
 """m; a shorter piece is registered as a sphere."""
 
@@ -57,6 +68,7 @@ class HumanAvatar(LeafSystem):
         scene_graph: SceneGraph,
         motion: HumanMotion,
         name: str = "human",
+        shirt: tuple[float, float, float, float] = COLOURS["shirt"],
     ):
         """Registers the person's frames and geometry.
 
@@ -64,12 +76,15 @@ class HumanAvatar(LeafSystem):
             scene_graph: Where to register; the caller connects the port.
             motion: How the person moves.
             name: Of the source, and the prefix of frames and geometries.
+            shirt: Its colour, RGBA.
         """
         super().__init__()
         self.set_name(name)
         self.motion = motion
         self.radii = motion.radii
+        self.shirt = shirt
         self.source_id = scene_graph.RegisterSource(name)
+        colours = COLOURS | {"shirt": shirt}
         self.frame_ids = []
         self.geometry_ids = []
         for capsule, radius, length in zip(
@@ -83,7 +98,7 @@ class HumanAvatar(LeafSystem):
                 shape = Sphere(radius)
             else:
                 shape = Capsule(radius, length)
-            colour = COLOURS[capsule.colour]
+            colour = colours[capsule.colour]
             instance = GeometryInstance(RigidTransform(), shape, frame_name)
             instance.set_illustration_properties(
                 MakePhongIllustrationProperties(colour)

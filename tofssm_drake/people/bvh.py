@@ -11,7 +11,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from tofssm_drake.errors import UserError, require
+from tofssm_drake.errors import UserError, prefix_errors, require
 from tofssm_drake.people.bvh_file import read_bvh
 from tofssm_drake.people.figure_eight import (
     FARTHEST,
@@ -49,6 +49,9 @@ from tofssm_drake.people.walk import (
 
 _STOPPING_TIME = 0.08
 """s; how fast limbs come to rest where a recording ends."""
+
+# No recording is longer than a day, s.
+_LONGEST = 86400.0
 
 PLACEMENTS = ("in_place", "own_path", "figure_eight")
 
@@ -132,13 +135,15 @@ class BvhRecording:
             "360 deg",
         )
         require(
-            0.0 <= self.start_time < math.inf,
-            f"{where}.start_time: {self.start_time} should be 0 s or more",
+            0.0 <= self.start_time <= _LONGEST,
+            f"{where}.start_time: {self.start_time} should be from 0 to "
+            f"{_LONGEST:g} s",
         )
         require(
-            self.end_time is None or self.end_time > self.start_time,
+            self.end_time is None
+            or self.start_time < self.end_time <= _LONGEST,
             f"{where}.end_time: {self.end_time} should be after start_time "
-            f"{self.start_time}",
+            f"{self.start_time} and at most {_LONGEST:g} s",
         )
         require(
             self.speed is None or 0.2 <= self.speed <= 2.2,
@@ -146,9 +151,11 @@ class BvhRecording:
         )
         self.figure_eight.check(f"{where}.figure_eight")
 
-    def make_motion(self, period: float) -> HumanMotion:
-        """Returns the motion; period: control tick, s."""
-        return make_bvh_motion(self, period)
+    def make_motion(self, period: float, where: str = "people") -> HumanMotion:
+        """Returns the motion; period: control tick, s; where: see `check`."""
+        self.check(where)
+        with prefix_errors(f"{where}.filename"):
+            return make_bvh_motion(self, period)
 
 
 def _norm(vector):

@@ -32,9 +32,9 @@ class CustomMotion:
         )
         load_motion(self, 0.008, where=where)
 
-    def make_motion(self, period: float) -> HumanMotion:
-        """Returns the motion; period: control tick, s."""
-        return load_motion(self, period)
+    def make_motion(self, period: float, where: str = "people") -> HumanMotion:
+        """Returns the motion; period: control tick, s; where: see `check`."""
+        return load_motion(self, period, where=where)
 
 
 def load_motion(

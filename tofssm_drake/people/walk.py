@@ -103,8 +103,8 @@ class GeneratedWalk:
         )
         self.figure_eight.check(f"{where}.figure_eight")
 
-    def make_motion(self, period: float) -> HumanMotion:
-        """Returns the motion; period: control tick, s."""
+    def make_motion(self, period: float, where: str = "people") -> HumanMotion:
+        """Returns the motion; period: control tick, s; where: see `check`."""
         return make_walk(self, period)
 
 

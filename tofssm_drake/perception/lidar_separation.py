@@ -37,6 +37,10 @@ _VALID = int(Reading.VALID)
 _MASKED = int(Reading.MASKED)
 _FAULTED = int(Reading.FAULTED)
 
+# See `LidarSeparationConfig.max_gap`; s.
+_GAP_PERIODS = 2.5
+_LEAST_MAX_GAP = 0.1
+
 DISTANCE_RULES = ("raw", "subtracted", "literal")
 
 
@@ -65,9 +69,9 @@ class LidarSeparationConfig:
     # two such distances.
     track_width: float = 0.4
 
-    # Scans farther apart than this give no speed, s (*assumed*: slightly more
-    # than two periods).
-    max_gap: float = 0.1
+    # Scans farther apart than this give no speed, s. null: two and a half
+    # periods of the lidar, so that one may be lost; at least 0.1 s (*assumed*).
+    max_gap: float | None = None
 
     # Speed of a person whose motion is not known yet, m/s (ISO/TS 15066).
     V_hmax: float = 1.6
@@ -86,11 +90,22 @@ class LidarSeparationConfig:
             ("workspace_radius", 0.0, 10.0),
             ("background_margin", 0.001, 1.0),
             ("track_width", 0.01, 10.0),
-            ("max_gap", 0.0, 10.0),
             ("V_hmax", 0.0, 10.0),
             ("max_faulted_share", 0.0, 1.0),
         ):
             check_range(where, name, getattr(self, name), low, high)
+        if self.max_gap is not None:
+            check_range(where, "max_gap", self.max_gap, 0.0, 10.0)
+
+    def calc_max_gap(self, period: float = 0.0) -> float:
+        """Returns from which time between scans on they give no speed, s.
+
+        Args:
+            period: Of the lidar, s; 0: the least.
+        """
+        if self.max_gap is not None:
+            return self.max_gap
+        return max(_LEAST_MAX_GAP, _GAP_PERIODS * period)
 
     @property
     def threshold_offset(self) -> float:
@@ -270,7 +285,7 @@ def calc_lidar_separation(
         v_h = config.V_hmax
         if (
             previous is not None
-            and 0.0 < (dt := scan.time - previous.time) <= config.max_gap
+            and 0.0 < (dt := scan.time - previous.time) <= config.calc_max_gap()
         ):
             before = find_nearest_around(
                 previous.angles,

@@ -41,6 +41,9 @@ from tofssm_drake.sensors.range_sensor import SensorTraits
 from tofssm_drake.sensors.range_status import STATUS_NO_NEW_DATA
 from tofssm_drake.sensors.ring_mount import RingMount
 
+# s, see `OcclusionMaskConfig.max_age`.
+_LEAST_MAX_AGE = 0.072
+
 
 @dc.dataclass(kw_only=True)
 class OcclusionMaskConfig:
@@ -78,17 +81,31 @@ class OcclusionMaskConfig:
     # How long obstacles are remembered that a sensor no longer sees.
     memory: SensorMemoryConfig = dc.field(default_factory=SensorMemoryConfig)
 
-    # If its sample is older than this, s, a sensor is faulted (*assumed*:
-    # three periods of a ring).
-    max_age: float = 0.072
+    # If its sample is older than this, s, a sensor is faulted. null: three
+    # periods of the ring's sensors, or two and their latency if that is longer;
+    # at least 0.072 s, three of a VL53L1X (*assumed*).
+    max_age: float | None = None
 
     def check(self, where: str) -> None:
         """Raises UserError unless every setting is within its limits."""
         check_range(where, "rays_per_sensor", self.rays_per_sensor, 0, 10000)
         check_range(where, "edge_margin_deg", self.edge_margin_deg, 0.0, 10.0)
         check_range(where, "time_margin", self.time_margin, 0.0, 0.1)
-        check_range(where, "max_age", self.max_age, 0.001, 10.0)
+        if self.max_age is not None:
+            check_range(where, "max_age", self.max_age, 0.001, 10.0)
         self.memory.check(f"{where}.memory")
+
+    def calc_max_age(self, sensor: SensorTraits) -> float:
+        """Returns from which age on a sample is too old, s.
+
+        Args:
+            sensor: Of the ring.
+        """
+        if self.max_age is not None:
+            return self.max_age
+        own = 2.0 * sensor.period + max(sensor.period, sensor.latency)
+        # Without the rounding of decimal fractions.
+        return max(_LEAST_MAX_AGE, round(own, 9))
 
 
 def make_mask_bundles(
@@ -730,7 +747,7 @@ def _compare_with_twin(config, sensor, tables, view, bundles, time):
         float(sensor.tolerance),
         float(sensor.min_range),
         float(sensor.max_range),
-        config.max_age,
+        config.calc_max_age(sensor),
     )
     margin = config.time_margin
     is_unsettled = _begin(
@@ -988,10 +1005,11 @@ class OcclusionMask(LeafSystem):
         super().__init__()
         config.check("mask")
         require_period(period)
+        max_age = config.calc_max_age(sensor)
         require(
-            config.max_age >= period,
-            f"mask.max_age: {config.max_age} is shorter than the control tick "
-            f"of {period}",
+            max_age >= period,
+            f"mask.max_age: {max_age} is shorter than the control tick of "
+            f"{period}",
         )
         n, rest = divmod(bundles.num_bundles, len(name))
         if n == 0 or rest:
@@ -1015,7 +1033,7 @@ class OcclusionMask(LeafSystem):
         )
         # The history includes every sample that is not stale, and the look
         # back from it.
-        length = math.ceil((config.max_age + config.time_margin) / period) + 2
+        length = math.ceil((max_age + config.time_margin) / period) + 2
         self._history = self.DeclareDiscreteState(
             make_robot_history(
                 length, twin.num_joints, twin.num_objects

@@ -26,6 +26,10 @@ _VALID = int(Reading.VALID)
 _FAULTED = int(Reading.FAULTED)
 _HELD = int(Reading.HELD)
 
+# See `SeparationConfig.max_gap`; s.
+_GAP_PERIODS = 4.1
+_LEAST_MAX_GAP = 0.1
+
 
 @dc.dataclass(kw_only=True)
 class SeparationConfig:
@@ -43,9 +47,10 @@ class SeparationConfig:
     # negative closing speed. Not safe; for comparison only.
     literal_sign: bool = False
 
-    # A sensor's samples farther apart than this give no speed, s (*assumed*:
-    # slightly more than three periods).
-    max_gap: float = 0.1
+    # A sensor's samples farther apart than this give no speed, s. null:
+    # slightly more than four periods of the ring's sensors, so that three may
+    # be lost; at least 0.1 s (*assumed*).
+    max_gap: float | None = None
 
     # If a sensor is faulted for longer than this, s, its link is faulted,
     # which stops the robot (*assumed*: a person walks half a metre in that
@@ -61,8 +66,19 @@ class SeparationConfig:
     def check(self, where: str) -> None:
         """Raises UserError unless every setting is within its limits."""
         check_range(where, "V_hmax", self.V_hmax, 0.0, 10.0)
-        check_range(where, "max_gap", self.max_gap, 0.0, 10.0)
+        if self.max_gap is not None:
+            check_range(where, "max_gap", self.max_gap, 0.0, 10.0)
         check_range(where, "fault_time", self.fault_time, 0.0, 10.0)
+
+    def calc_max_gap(self, sensor_period: float = 0.0) -> float:
+        """Returns from which time between samples on they give no speed, s.
+
+        Args:
+            sensor_period: Of the ring, s; 0: the least.
+        """
+        if self.max_gap is not None:
+            return self.max_gap
+        return max(_LEAST_MAX_GAP, _GAP_PERIODS * sensor_period)
 
 
 @dc.dataclass(frozen=True, eq=False, kw_only=True)
@@ -387,7 +403,7 @@ def calc_link_row(
         geometry.find_direction(sensor, scan.distance[sensor]),
         R_WL[link],
         v_WL[link],
-        (config.V_hmax, config.max_gap, k_max),
+        (config.V_hmax, config.calc_max_gap(), k_max),
         (config.literal, config.literal_sign),
     )
     return row
@@ -577,6 +593,7 @@ class TofSeparation(LeafSystem):
         k_max: float = 3.3,
         kinematics: LinkKinematics,
         geometries: Sequence[RingGeometry],
+        sensor_period: float = 0.0,
         name: tuple[str, ...],
     ):
         """Constructs the system.
@@ -586,6 +603,8 @@ class TofSeparation(LeafSystem):
             k_max: k_l and k_o are saturated to +-k_max, m/s.
             kinematics: of the links, in the order of `name`.
             geometries: of the rings, in the same order.
+            sensor_period: from one sample of a sensor to the next, s, for
+                `config.max_gap`; 0: the least.
             name: the rings.
 
         Raises:
@@ -598,7 +617,9 @@ class TofSeparation(LeafSystem):
         if not (math.isfinite(k_max) and k_max > 0.0):
             raise ValueError(f"k_max: {k_max} must be a speed above 0")
         self._k_max = k_max
-        self._config = config
+        self._config = dc.replace(
+            config, max_gap=config.calc_max_gap(sensor_period)
+        )
         self._kinematics = _LastKinematics(kinematics)
         self._geometries = tuple(geometries)
         self._name = tuple(name)

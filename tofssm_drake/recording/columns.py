@@ -123,7 +123,7 @@ _POINTS = {
     "robot_point": "true point of the robot nearest to the person",
     "person_point": "true point of the person nearest to the robot",
     "tcp": "true position of the tool centre point",
-    "person": "true position on the ground of the person's pelvis",
+    "person": "true position on the ground of the nearest person's pelvis",
 }
 
 SCAN_COLUMNS = {
@@ -175,8 +175,9 @@ def describe_columns(
         links: Names of the watched links.
         signals: The law's signals.
         metadata: Of the samples. It names the `law`'s states, the
-            `robot_bodies` and the `person_parts`, and has `joint_units`: of
-            each joint "rad" or, if it slides, "m" (default: "rad").
+            `robot_bodies`, the `people` and the `person_parts`, and has
+            `joint_units`: of each joint "rad" or, if it slides, "m" (default:
+            "rad").
     """
     of_run = _OF_RUN | _describe_places(links, metadata)
     of_link = _OF_LINK | {
@@ -207,6 +208,15 @@ def _describe_places(links, metadata):
         f"{point}_{axis}": Column(unit="m", meaning=f"{meaning}, in world")
         for point, meaning in _POINTS.items()
         for axis in "xyz"
+    }
+    columns |= {
+        f"place_of_{person}_{axis}": Column(
+            unit="m",
+            meaning=f"true position on the ground of {person}'s pelvis, in "
+            "world",
+        )
+        for person in metadata.get("people", ())
+        for axis in "xy"
     }
     return columns | {
         "deciding_link": Column(

@@ -25,6 +25,7 @@ from tofssm_drake.messages import (
     make_empty_separation,
 )
 from tofssm_drake.people.motion import HumanMotion, capsule_ends_over_time
+from tofssm_drake.people.skeleton import CAPSULES
 from tofssm_drake.recording.samples import (
     Samples,
     get_link_columns,
@@ -32,6 +33,8 @@ from tofssm_drake.recording.samples import (
 )
 
 # Messages are packed when there are that many.
+_PELVIS = [capsule.name for capsule in CAPSULES].index("pelvis")
+
 _PACK_AT = 512
 # Rows of truth per call, so that few skeletons exist at a time.
 _TRUTH_ROWS = 1024
@@ -511,6 +514,8 @@ class SampleRecorder(Diagram):
                 insert(f"{ring}_{name}", per_ring[name][:, i], name)
         for name, values in _lay_out_truth(truth, layout):
             insert(name, values)
+        for name, values in self._lay_out_places(t):
+            insert(name, values)
         insert("target_fraction", decided["target"])
         insert("deciding_link", decided["deciding"])
         column["reason"] = decided["reason"]
@@ -519,6 +524,20 @@ class SampleRecorder(Diagram):
             for ring, parts in log.packed_scans.items()
         }
         return Samples(column=column, scan=scan, metadata=dict(self._metadata))
+
+    def _lay_out_places(self, t):
+        """Yields name and values of the columns of each person's place.
+
+        One person's place is in the columns of the truth.
+        """
+        names = self._metadata.get("people", ())
+        if len(self._motions) < 2 or len(names) != len(self._motions):
+            return
+        for name, motion in zip(names, self._motions, strict=True):
+            pelvis = capsule_ends_over_time(motion, t)[:, _PELVIS]
+            place = pelvis.mean(axis=1)
+            for axis, values in zip("xy", place.T, strict=False):
+                yield f"place_of_{name}_{axis}", values
 
     def _calc_truth(self, plain, t):
         truth = np.empty((len(t), self._truth.layout.size))

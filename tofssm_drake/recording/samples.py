@@ -110,8 +110,8 @@ class Samples:
             where faulted, where held as last measured; `reading` (k, n);
             `fault` (k, n), `SensorFault`, missing in older files.
         metadata: Plain values (JSON): `rings`, `robot_bodies`,
-            `person_parts`, `scenario`, `seed`, ...; `law`, what a law says
-            of itself (`describe_law`).
+            `people`, `person_parts`, `scenario`, `seed`, ...; `law`, what a law
+            says of itself (`describe_law`).
     """
 
     column: dict[str, np.ndarray]
@@ -170,6 +170,24 @@ class Samples:
             if signal.bound == bound:
                 return name
         return ""
+
+    def find_nearest_person(self, tick: int) -> str:
+        """Returns who is truly nearest to the robot.
+
+        `metadata["people"]` names the people.
+
+        Args:
+            tick: Row.
+
+        Returns:
+            The name; empty: nobody is there, or nobody has a name.
+        """
+        people = self.metadata.get("people", ())
+        parts = len(self.metadata.get("person_parts", ()))
+        index = int(self["person_part"][tick])
+        if not people or not 0 <= index < parts:
+            return ""
+        return people[index * len(people) // parts]
 
     def ring(self, name: str) -> np.ndarray:
         """Returns the column `name` of every ring, shape (rows, m)."""

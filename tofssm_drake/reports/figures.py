@@ -497,7 +497,7 @@ def _draw_distance(ax, samples, columns, narrow, top, touched):
 
 
 def make_plan(samples: Samples, *, narrow: bool = False) -> Figure:
-    """Draws the cell from above with the paths of tool and person."""
+    """Draws the cell from above with the paths of tool, people, obstacles."""
     with matplotlib.rc_context(STYLE):
         size = (4.3, 5.4) if narrow else (7.4, 6.6)
         figure = Figure(figsize=size, layout="constrained")
@@ -505,9 +505,11 @@ def make_plan(samples: Samples, *, narrow: bool = False) -> Figure:
         plan = samples.metadata.get("plan", {})
         _draw_outlines(ax, plan.get("outlines", []))
         handles = _draw_tool_path(ax, samples)
+        handles += _draw_obstacles(ax, plan.get("obstacles", []))
+        handles += _draw_people(ax, samples)
         _draw_places(ax, samples)
         _draw_robot_base(ax, plan.get("robot", [0.0, 0.0]))
-        handles += _draw_person_start(ax, samples)
+        handles += _make_place_handles(samples)
         handles += _draw_closest(ax, samples)
         handles += _draw_contacts(ax, samples)
         ax.set_aspect("equal", adjustable="datalim")
@@ -572,28 +574,88 @@ def _draw_robot_base(ax, base):
     )
 
 
-def _draw_person_start(ax, samples):
-    x, y = samples["person_x"], samples["person_y"]
+def _draw_obstacles(ax, obstacles):
+    """Draws the boxes that move: where they are at first, and their way."""
+    handles = []
+    for i, item in enumerate(obstacles):
+        hatch = _HATCHES[i % len(_HATCHES)]
+        style: dict[str, Any] = {
+            "facecolor": "#E3E6EA",
+            "edgecolor": "#3B4048",
+            "hatch": hatch,
+            "linewidth": 1.0,
+        }
+        ax.add_patch(Polygon(np.array(item["outline"]), zorder=2, **style))
+        way = np.array(item["way"])
+        ax.plot(*way.T, color="#3B4048", linestyle=(0, (1, 1.5)), zorder=2)
+        what = "at first, dotted: its way" if len(way) > 1 else "stands still"
+        handles.append(Patch(label=f"{item['label']}, {what}", **style))
+    return handles
+
+
+def list_people(samples: Samples) -> list[str]:
+    """Returns the people who are told apart; empty: there is one, or none."""
+    people = samples.metadata.get("people", [])
+    return [name for name in people if f"place_of_{name}_x" in samples]
+
+
+def _draw_people(ax, samples):
+    """Draws where people walked, each of several with a line of their own."""
+    people = list_people(samples)
+    if not people:
+        _draw_start(ax, samples["person_x"], samples["person_y"], "person")
+        return []
+    handles = []
+    for i, name in enumerate(people):
+        colour, dashes, marker = _PERSON[i % len(_PERSON)]
+        x, y = (samples[f"place_of_{name}_{axis}"] for axis in "xy")
+        style: dict[str, Any] = {
+            "color": colour,
+            "linestyle": dashes,
+            "linewidth": 1.4,
+        }
+        # Under the marks of the robot's state, but wider than they are.
+        ax.plot(x, y, zorder=2.5, **style)
+        _draw_start(ax, x, y, name, marker=marker, color=colour)
+        handles.append(Line2D([], [], marker=marker, label=name, **style))
+    return handles
+
+
+def _draw_start(ax, x, y, name, *, marker="o", color=BLACK):
     known = np.flatnonzero(np.isfinite(x))
     if not len(known):
-        return []
+        return
     start = (x[known[0]], y[known[0]])
-    ax.plot(*start, "o", color=BLACK, markersize=5, zorder=6)
+    ax.plot(
+        *start,
+        marker,
+        color=color,
+        markeredgecolor=BLACK,
+        markersize=5 if marker == "o" else 7,
+        zorder=6,
+    )
     ax.annotate(
-        "person starts",
+        f"{name} starts",
         start,
         xytext=(6, 6),
         textcoords="offset points",
         fontsize=8,
         zorder=6,
     )
+
+
+def _make_place_handles(samples):
+    """Returns the legend of the marks of the robot's state."""
+    if not np.isfinite(samples["person_x"]).any():
+        return []
+    who = "nearest person" if list_people(samples) else "person"
     return [
         Line2D(
             [],
             [],
             color=STATE_COLOUR[state],
             linestyle="none",
-            label=f"person, robot {STATE_NAME[state]}",
+            label=f"{who}, robot {STATE_NAME[state]}",
             **_PLACE[state],
         )
         for state in reversed(RobotState)
@@ -640,6 +702,17 @@ def _draw_contacts(ax, samples):
     )
     return [Line2D([], [], label="contact while moving", **style)]
 
+
+# Of each of several people: colour, dashes and mark of the start.
+_PERSON: tuple[tuple[str, Any, str], ...] = (
+    (BLUE, "-", "o"),
+    (PURPLE, (0, (5, 2)), "^"),
+    (SKY, (0, (5, 1.5, 1, 1.5)), "s"),
+    (BLACK, (0, (2, 1.5)), "v"),
+    (GREY, (0, (8, 2)), "P"),
+    (BLUE, (0, (5, 2)), "D"),
+)
+_HATCHES = ("xxx", "///", "...", "---")
 
 _PLACE: dict[RobotState, dict[str, Any]] = {
     RobotState.STOP: {"marker": "s", "markersize": 5.0},

@@ -26,6 +26,7 @@ from tofssm_drake.metrics.sensor_faults import (
     find_faulted_links,
     find_faulted_sensors,
 )
+from tofssm_drake.metrics.task_progress import TaskSteps
 from tofssm_drake.recording.samples import Samples, write_atomically
 from tofssm_drake.reports import figures
 from tofssm_drake.reports.page import Picture, make_picture, render_page
@@ -71,13 +72,12 @@ def count_of(count: int, noun: str) -> str:
 
 
 def make_verdict(
-    summary: dict, *, products: int, watcher: str = "the rings"
+    summary: dict, *, watcher: str = "the rings"
 ) -> list[tuple[str, str]]:
     """Returns in plain words how the run went.
 
     Args:
         summary: What `calc_summary` returned.
-        products: Products of the task.
         watcher: What watched the person, in words.
 
     Returns:
@@ -86,7 +86,7 @@ def make_verdict(
     late = summary.get("late_stops", 0)
     return [
         _judge_contacts(summary),
-        _judge_task(summary, products),
+        _judge_task(summary),
         _describe_slowing(summary, watcher),
         *(
             [
@@ -110,7 +110,7 @@ def _judge_contacts(summary):
     if contacts:
         return (
             "bad",
-            "The moving robot touched the person: "
+            f"The moving robot touched {_name_touched(summary)}: "
             f"{count_of(contacts, 'contact')}, at up to "
             f"{summary['contact_while_moving_max_mps']:.3f} m/s.",
         )
@@ -122,32 +122,69 @@ def _judge_contacts(summary):
         )
     if least is None:
         return "note", "Nobody was in the cell."
+    who, nearest = _name_nearest(summary)
     if least <= 0.0:
         return (
             "good",
-            "The robot never touched the person while it moved. They did "
-            "touch while it stood still: the person walked into it.",
+            f"The robot never touched {who} while it moved. They did touch "
+            f"while it stood still: {nearest} walked into it.",
+        )
+    if nearest != who:
+        return (
+            "good",
+            f"The robot never touched {who}. The nearest was {nearest}, at "
+            f"{least:.2f} m.",
         )
     return (
         "good",
-        "The robot never touched the person. The nearest they came was "
+        f"The robot never touched {who}. The nearest they came was "
         f"{least:.2f} m.",
     )
 
 
-def _judge_task(summary, products):
-    placed, time = summary["products_placed"], summary["task_time_s"]
+def _are_several(summary):
+    return len(summary.get("people", ())) > 1
+
+
+def _name_touched(summary):
+    """Returns who was touched, of several people with the number of times."""
+    if not _are_several(summary):
+        return "the person"
+    counts = summary["contacts_by_person"].items()
+    return _join([f"{name} {_times(n)}" for name, n in counts if n])
+
+
+def _name_nearest(summary):
+    """Returns who was there, and who of them was nearest."""
+    if not _are_several(summary):
+        return "the person", "the person"
+    return (
+        _join(summary["people"], "or"),
+        summary["nearest_person"] or "a person",
+    )
+
+
+def _join(words, last="and"):
+    """Returns "a", "a and b", "a, b and c"."""
+    if len(words) < 2:
+        return "".join(words)
+    return f"{', '.join(words[:-1])} {last} {words[-1]}"
+
+
+def _judge_task(summary):
+    task, time = _read_task(summary), summary["task_time_s"]
+    simulated = f"{summary['simulated_s']:.1f} s"
+    due = _describe_due(summary)
+    if not task.step:
+        return "note", f"{simulated} without a task that counts.{due}"
+    clause = task.tell(summary["steps_done"])
     if time is None:
-        return (
-            "note",
-            f"{placed} of {count_of(products, 'product')} "
-            f"{'was' if products == 1 else 'were'} placed in the "
-            f"{summary['simulated_s']:.1f} s that were simulated."
-            + _describe_due(summary),
-        )
-    if products > 1:
-        return "good", f"All {products} products were placed in {time:.1f} s."
-    return "good", f"The product was placed in {time:.1f} s."
+        return "note", f"{clause} in the {simulated} that were simulated.{due}"
+    return "good", f"{clause} in {time:.1f} s."
+
+
+def _read_task(summary):
+    return TaskSteps(step=summary["step"], steps=summary["steps"])
 
 
 def _describe_slowing(summary, watcher):
@@ -193,28 +230,35 @@ def _times(count):
     return {0: "never", 1: "once", 2: "twice"}.get(count, f"{count} times")
 
 
-def _make_headlines(summary, products):
+def _make_headlines(summary):
     return [
-        *_make_task_headlines(summary, products),
+        _make_task_headline(summary),
+        *_make_safety_headlines(summary),
         *_make_event_headlines(summary),
         *_make_sensing_headlines(summary),
     ]
 
 
-def _make_task_headlines(summary, products):
-    finished = summary["task_time_s"] is not None
-    touched = summary["min_true_distance_m"] == 0.0
-    return [
-        Headline(
-            value=f"{summary['products_placed']} of {products}",
-            label="products placed",
-            note=(
-                f"in {format_number(summary['task_time_s'], 1, 's')}"
-                if finished
-                else f"in {format_number(summary['simulated_s'], 1, 's')}, "
-                "not finished"
-            ),
+def _make_task_headline(summary):
+    task = _read_task(summary)
+    simulated = format_number(summary["simulated_s"], 1, "s")
+    if not task.step:
+        return Headline(value=simulated, label="without a task that counts")
+    time = summary["task_time_s"]
+    noun, _, verb = task.step.partition(" ")
+    return Headline(
+        value=f"{summary['steps_done']} of {task.steps}",
+        label=f"{noun}s {verb}",
+        note=(
+            f"in {simulated}, not finished"
+            if time is None
+            else f"in {format_number(time, 1, 's')}"
         ),
+    )
+
+
+def _make_safety_headlines(summary):
+    return [
         Headline(
             value=(
                 str(summary["contact_while_moving_events"])
@@ -222,14 +266,29 @@ def _make_task_headlines(summary, products):
                 else "unknown"
             ),
             label="contacts while moving",
-            note="touching faster than 0.01 m/s",
+            note=(
+                ", ".join(
+                    f"{name} {n}"
+                    for name, n in summary["contacts_by_person"].items()
+                )
+                if _are_several(summary)
+                else "touching faster than 0.01 m/s"
+            ),
         ),
         Headline(
             value=format_number(summary["min_true_distance_m"], 2, "m"),
             label="least true distance",
-            note="they touched" if touched else "robot's surface to person's",
+            note=_describe_least(summary),
         ),
     ]
+
+
+def _describe_least(summary):
+    """Returns between whom the least true distance was."""
+    several = _are_several(summary) and summary["nearest_person"]
+    if summary["min_true_distance_m"] == 0.0:
+        return f"{several} touched it" if several else "they touched"
+    return f"robot's surface to {several or 'person'}'s"
 
 
 def _make_event_headlines(summary):
@@ -278,16 +337,19 @@ def _call(link, noun):
     return f"{link} {noun}".strip()
 
 
-def describe_contact(contact: Contact, noun: str = "ring") -> list[str]:
+def describe_contact(
+    contact: Contact, noun: str = "ring", who: str = "the person"
+) -> list[str]:
     """Describes one contact in sentences: what, how fast, and who saw it.
 
     Args:
         contact: Which.
         noun: What follows the name of a watched link.
+        who: Was touched.
     """
     text = [
         f"At {contact.time:.2f} s the robot's {_words(contact.robot_body)} "
-        f"touched the person's {_words(contact.person_part)} while moving at "
+        f"touched {who}'s {_words(contact.person_part)} while moving at "
         f"{contact.first_speed:.3f} m/s (at most {contact.max_speed:.3f} m/s "
         f"over the {contact.duration:.2f} s of the contact). The robot was "
         f"in state {figures.STATE_NAME[contact.robot_state]}."
@@ -466,8 +528,11 @@ def _make_contact(contact, samples):
         for view in contact.views
         if view.sensors is not None
     ]
+    several = len(samples.metadata.get("people", ())) > 1
     text = describe_contact(
-        contact, _NOUN.get(samples.metadata.get("sensing", "rings"), "")
+        contact,
+        _NOUN.get(samples.metadata.get("sensing", "rings"), ""),
+        contact.person if several and contact.person else "the person",
     )
     rings = len(contact.approach.rings)
     return {
@@ -543,7 +608,8 @@ def _make_figures(samples, events, contacts, is_known):
         "plan": make_picture(
             figures.make_plan,
             "The cell from above: tables, robot base, path of the tool, and "
-            "path of the person drawn in the colour of the robot's state.",
+            "path of the person drawn in the colour of the robot's state; of "
+            "several people each one's path, and what else moves.",
             samples,
         ),
         "rings": make_picture(
@@ -580,7 +646,7 @@ def make_report(
     Args:
         samples: The run. Of `metadata` it reads, where present,
             `scenario_name`, `title`, `scenario` (text), `law`, `human`,
-            `products`, `seed`, `sensors_per_ring`, `versions`, `command`,
+            `task`, `seed`, `sensors_per_ring`, `versions`, `command`,
             `plan`, `ring_geometry`, `robot_bodies`, `person_parts`,
             `interrupted`, `sensing`, `audit`, `dead_sensors`,
             `self_hit_coverage`.
@@ -590,7 +656,6 @@ def make_report(
             link to it. The report needs no other file.
     """
     metadata = samples.metadata
-    products = int(metadata.get("products", 10))
     events = find_state_events(samples)
     contacts = find_contacts(samples)
     episodes = find_episodes(samples, events)
@@ -602,14 +667,9 @@ def make_report(
         scenario=metadata.get("scenario", ""),
         versions=metadata.get("versions", {}),
         name=metadata.get("title", metadata.get("scenario_name", "run")),
-        products=products,
         summary=summary,
         verdict=[
-            *make_verdict(
-                summary,
-                products=products,
-                watcher=figures.get_watcher(samples),
-            ),
+            *make_verdict(summary, watcher=figures.get_watcher(samples)),
             *_describe_dead_sensors(metadata.get("dead_sensors", {})),
             *(
                 ("note", f"{line}.")
@@ -619,7 +679,9 @@ def make_report(
         sensing=metadata.get("sensing", "rings"),
         audit=make_audit_section(samples) if is_known else None,
         person_is_known=is_known,
-        headlines=_make_headlines(summary, products),
+        people=metadata.get("people", []),
+        obstacles=metadata.get("plan", {}).get("obstacles", []),
+        headlines=_make_headlines(summary),
         law=_describe_law(samples),
         figures=(
             _make_figures(samples, events, contacts, is_known)

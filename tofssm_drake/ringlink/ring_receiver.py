@@ -26,6 +26,8 @@ from tofssm_drake.ringlink.ring_budget import (
     update_watch,
 )
 from tofssm_drake.ringlink.ring_faults import (
+    FROZEN_SAMPLES,
+    calc_frozen_samples,
     count_repeats,
     find_frozen_sensors,
 )
@@ -96,12 +98,9 @@ class RingLinkConfig:
 
     # A sensor that repeats a distance bit for bit this often is frozen; if no
     # sensor of a ring changes and their repetitions add up to it, the device
-    # is (*assumed*). Even with 0.75 mm of noise, 0.15 % of half a metre, two
-    # samples are equal with a probability of 0.35, and 25 in a row come once
-    # in some years with 24 sensors at 42 Hz. (With 20 ms of integration the
-    # datasheet's noise is 2.3 mm or more, 0.13.) 0: noise is not expected, as
-    # of ideal sensors, and repetitions are fine.
-    frozen_samples: int = 25
+    # is. null: as often as its model's noise and resolution cannot explain,
+    # see `calc_frozen_samples`; 25 for a VL53L1X. 0: repetitions are fine.
+    frozen_samples: int | None = None
 
     def check(self, where: str) -> None:
         """Raises UserError unless every setting is within its limits."""
@@ -119,9 +118,10 @@ class RingLinkConfig:
             ("settle_time", 0.0, 60.0),
             ("max_earliness", 0.0, 1.0),
             ("late", 0.0, 10.0),
-            ("frozen_samples", 0, 1000),
         ):
             check_range(where, name, getattr(self, name), low, high)
+        if self.frozen_samples is not None:
+            check_range(where, "frozen_samples", self.frozen_samples, 0, 1000)
 
 
 def find_ring_numbers(
@@ -197,6 +197,7 @@ class RingReceiver:
         config: RingLinkConfig,
         num_sensors: int,
         timing_budget: float,
+        frozen_samples: int = FROZEN_SAMPLES,
         budget: RingBudget,
     ):
         """Constructs the receiver.
@@ -206,12 +207,18 @@ class RingReceiver:
             num_sensors: n of the ring.
             timing_budget: Integration time of the sensors, s; its middle is a
                 sample's time.
+            frozen_samples: For `config.frozen_samples`, if that is null.
             budget: Limits of the link.
         """
         self._config = config
         self._budget = budget
         self._num_sensors = num_sensors
         self._half_budget = 0.5 * timing_budget
+        self._frozen_samples = (
+            frozen_samples
+            if config.frozen_samples is None
+            else config.frozen_samples
+        )
         self.counts = RingCounts()
         self.scan = RingScan()
         self.clock: ClockMap | None = None
@@ -321,7 +328,7 @@ class RingReceiver:
             self._repeats,
             before=(self._mm, self._status),
             now=(frame.mm, frame.status),
-            most=2 * self._config.frozen_samples,
+            most=2 * self._frozen_samples,
         )
         is_fresh = frame.status != STATUS_NO_NEW_DATA
         self._mm = np.where(is_fresh, frame.mm, self._mm)
@@ -329,7 +336,7 @@ class RingReceiver:
         return find_frozen_sensors(
             self._repeats,
             status=self._status,
-            frozen_samples=self._config.frozen_samples,
+            frozen_samples=self._frozen_samples,
         )
 
     def _calc_sensor_time(self, frame, clock):
@@ -418,6 +425,9 @@ class RingDecoder:
                     config=config,
                     num_sensors=rings[ring].num_sensors,
                     timing_budget=rings[ring].sensor.traits.integration_time,
+                    frozen_samples=calc_frozen_samples(
+                        rings[ring].sensor.traits
+                    ),
                     budget=budget[ring],
                 ),
             )

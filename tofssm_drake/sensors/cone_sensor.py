@@ -81,6 +81,7 @@ class ConeSensor:
             sure_range=self.max_range,
             tolerance=error,
             resolution=self.resolution,
+            least_noise=self._calc_sigma(0.0),
             noise_draws=_NOISE_DRAWS,
         )
 

@@ -61,6 +61,11 @@ class SensorTraits:
     resolution: float = 0.0
     """Step of the reported distance, m; 0: none."""
 
+    least_noise: float = 0.00075
+    """Standard deviation of a valid distance at the least, m; 0: none. How
+    often a sensor may repeat a distance follows from it and the resolution; the
+    default is that of a VL53L1X, 0.15 % of half a metre."""
+
     noise_draws: int = 0
     """Standard normal numbers that a sensor takes for each sample."""
 
@@ -82,6 +87,7 @@ class SensorTraits:
             ("sure_range", 0.0, FARTHEST),
             ("tolerance", 0.0, FARTHEST),
             ("resolution", 0.0, FARTHEST),
+            ("least_noise", 0.0, FARTHEST),
             ("noise_draws", 0, 1000),
             ("constant_draws", 0, 1000),
         ):

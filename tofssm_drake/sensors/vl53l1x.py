@@ -167,6 +167,7 @@ class Vl53l1x:
             sure_range=self._calc_sure_range(),
             tolerance=self.tolerance,
             resolution=self.resolution,
+            least_noise=0.0 if self.ideal else self._calc_least_noise(),
             noise_draws=0 if self.ideal else NOISE_DRAWS,
             constant_draws=CONSTANT_DRAWS,
         )
@@ -184,6 +185,10 @@ class Vl53l1x:
             noise=noise,
             errors=make_sensor_errors(self, constants),
         )
+
+    def _calc_least_noise(self) -> float:
+        # Nearer than half a metre the datasheet's own noise is more.
+        return self.noise_gain * self.noise_floor * 0.5
 
     def _calc_cast_range(self) -> float:
         if self.ideal:

@@ -27,6 +27,8 @@ class NoTask:
 
     products: ClassVar[int] = 0
     num_objects: ClassVar[int] = 0
+    step: ClassVar[str] = ""
+    """It counts nothing."""
 
     def check(self, where: str) -> None:
         """Does nothing: `make_resting_path` knows the arm's joints."""

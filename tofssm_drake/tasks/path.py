@@ -68,6 +68,9 @@ class ProgramPath:
     carried: np.ndarray
     """Place of each object, or ON_TOOL, at first and after each of the e times
     at which the gripper closes or opens, (e + 1, p)."""
+    step_time: tuple[float, ...] = ()
+    """When each step of the task is done, s, ascending: a product placed, a
+    waypoint reached."""
 
     def calc_motion(self, s: float) -> np.ndarray:
         """Returns q, q', q'' at path time s, (3, n); q' = dq/ds."""
@@ -78,6 +81,10 @@ class ProgramPath:
     def calc_products_placed(self, s: float) -> int:
         """Returns how many products were let go of up to path time s."""
         return bisect.bisect_right(self.open_time, s)
+
+    def calc_steps_done(self, s: float) -> int:
+        """Returns how many steps are done up to path time s."""
+        return bisect.bisect_right(self.step_time, s)
 
     def calc_gripper_closed(self, s: float) -> bool:
         """Returns whether the gripper is closed at path time s."""
@@ -187,7 +194,9 @@ class PathBuilder:
         self.coefficients.append(piece)
         self.time += duration
 
-    def finish(self, close_time, open_time, objects, carried) -> ProgramPath:
+    def finish(
+        self, close_time, open_time, objects, carried, step_time=()
+    ) -> ProgramPath:
         """Returns the path, at rest after its end.
 
         Args:
@@ -195,6 +204,7 @@ class PathBuilder:
             open_time: When it opens again, s.
             objects: What the task carries.
             carried: See `ProgramPath`.
+            step_time: See `ProgramPath`.
         """
         duration = self.time
         self.rest(np.inf)
@@ -208,4 +218,5 @@ class PathBuilder:
             open_time=tuple(open_time),
             objects=objects,
             carried=carried,
+            step_time=tuple(step_time),
         )

@@ -9,6 +9,7 @@ does: the path itself cannot change.
 
 import dataclasses as dc
 import functools
+from typing import ClassVar
 
 import numpy as np
 from pydrake.systems.framework import (
@@ -98,6 +99,9 @@ class PickAndPlace:
     # pick table, deg about the world's z.
     pick_yaw: float = 180.0
 
+    step: ClassVar[str] = "product placed"
+    """What the task counts, in words."""
+
     @property
     def num_objects(self) -> int:
         """How many products the cell has."""
@@ -123,13 +127,16 @@ class PickAndPlace:
         )
         self._check_joint_speeds(where)
         for name, size in _SIZES.items():
+            values = getattr(self, name)
             require(
-                len(getattr(self, name)) == size,
-                f"{where}.{name}: must have {size} numbers",
+                len(values) == size and all(abs(x) <= 100.0 for x in values),
+                f"{where}.{name}: must have {size} numbers within 100 m",
             )
         for name in ("pick_columns", "place_columns"):
             require(
-                getattr(self, name) >= 1, f"{where}.{name}: must be at least 1"
+                1 <= getattr(self, name) <= 100,
+                f"{where}.{name}: must be from 1 to 100, "
+                f"got {getattr(self, name)}",
             )
 
     def _check_joint_speeds(self, where):
@@ -148,6 +155,8 @@ class PickAndPlace:
 
 
 _RANGES = {
+    "pick_azimuth": ("deg", -360.0, 360.0),
+    "pick_yaw": ("deg", -360.0, 360.0),
     "hover_radius": ("m", 0.01, 10.0),
     "hover_height": ("m", 0.01, 10.0),
     "sweep_speed": ("m/s", 0.001, 100.0),
@@ -375,6 +384,7 @@ def make_program_path(
         open_time,
         find_products(config),
         list_places(config.products),
+        step_time=open_time,
     )
 
 
@@ -539,6 +549,15 @@ class TaskProgram(LeafSystem):
     def path(self) -> ProgramPath:
         """The nominal motion."""
         return self._path
+
+    def count_steps(self, context: Context) -> int:
+        """Returns how many steps of the task are done.
+
+        Args:
+            context: This system's.
+        """
+        s = context.get_discrete_state(self._progress).value()[0]
+        return self._path.calc_steps_done(s)
 
     def _calc_motion(self, context: Context, output: BasicVector) -> None:
         calc_motion_commanded(

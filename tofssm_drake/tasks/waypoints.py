@@ -9,7 +9,7 @@ from tofssm_drake.arms.kinematics import ArmKinematics
 from tofssm_drake.arms.limits import ArmLimits
 from tofssm_drake.arms.tool_down import calc_tool_down_joints
 from tofssm_drake.carried_objects import ON_TOOL, CarriableObjects
-from tofssm_drake.errors import UserError, require
+from tofssm_drake.errors import UserError, check_range, require
 from tofssm_drake.tasks.path import PathBuilder, ProgramPath
 from tofssm_drake.tasks.products import X_TO, make_upright_pose
 
@@ -17,6 +17,9 @@ _GRIPS = ("keep", "close", "open")
 # The gripper takes what is this close to the tool centre point, m: half of a
 # product's width.
 _REACH = 0.0275
+
+# No cell is larger, m; no joint turns that far, rad.
+_MOST = 100.0
 
 
 @dc.dataclass(kw_only=True)
@@ -48,9 +51,16 @@ class Waypoint:
             f"{where}: give either joints or point",
         )
         require(
-            len(self.point) in (0, 3),
-            f"{where}.point: {self.point} must be three numbers, m",
+            len(self.point) in (0, 3)
+            and all(abs(x) <= _MOST for x in self.point),
+            f"{where}.point: {self.point} must be three numbers within "
+            f"{_MOST:g} m",
         )
+        require(
+            all(abs(q) <= _MOST for q in self.joints),
+            f"{where}.joints: {self.joints} must be within {_MOST:g} rad or m",
+        )
+        check_range(where, "yaw_deg", self.yaw_deg, -360.0, 360.0)
         require(
             0.0 < self.speed <= 1.0,
             f"{where}.speed: {self.speed} must be above 0 and at most 1",
@@ -83,9 +93,11 @@ class CarriedProduct:
     def check(self, where: str) -> None:
         """Raises UserError unless every setting is within its limits."""
         require(
-            len(self.point) == 3,
-            f"{where}.point: {self.point} must be three numbers, m",
+            len(self.point) == 3 and all(abs(x) <= _MOST for x in self.point),
+            f"{where}.point: {self.point} must be three numbers within "
+            f"{_MOST:g} m",
         )
+        check_range(where, "yaw_deg", self.yaw_deg, -360.0, 360.0)
 
 
 @dc.dataclass(kw_only=True)
@@ -108,6 +120,9 @@ class Waypoints:
 
     # Its motion does not count products.
     products: ClassVar[int] = 0
+
+    step: ClassVar[str] = "waypoint reached"
+    """What the task counts, in words."""
 
     @property
     def num_objects(self) -> int:
@@ -165,7 +180,7 @@ def make_waypoint_path(
         acceleration,
         acceleration / config.jerk_time,
     )
-    close_time, open_time = [], []
+    close_time, open_time, step_time = [], [], []
     handling = _Handling(config.objects)
     is_closed = False
     for i in range(config.rounds * len(targets)):
@@ -174,6 +189,7 @@ def make_waypoint_path(
         if i:
             path.limits = (waypoint.speed * limits.speed, *path.limits[1:])
             path.move(targets[j])
+            step_time.append(path.time)
         now = path.time + 0.5 * waypoint.dwell
         X_WT = kinematics.calc_tcp_pose(targets[j])
         if waypoint.gripper == "close" and not is_closed:
@@ -188,7 +204,11 @@ def make_waypoint_path(
             path.rest(waypoint.dwell)
     path.move(targets[0])
     return path.finish(
-        close_time, open_time, handling.make_objects(), handling.carried
+        close_time,
+        open_time,
+        handling.make_objects(),
+        handling.carried,
+        step_time=[*step_time, path.time],
     )
 
 

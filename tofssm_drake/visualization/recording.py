@@ -104,6 +104,7 @@ def add_overlay(
         state=[palette.to_hex(palette.STATE[s]) for s in RobotState],
         word=[palette.STATE_WORD[s] for s in RobotState],
         run=make_run_data(samples),
+        people=list_shirts(samples),
         fps=fps,
         has_beams=samples is None
         or samples.metadata.get("sensing", "rings") in ("rings", "mixed"),
@@ -124,7 +125,7 @@ def make_run_data(samples: Samples | None) -> dict | None:
     Returns:
         `end`, s; `tick`, s; `spans`, [start, end, state]; `step`, s, between
         the elements of `speed` (tool, m/s) and `distance` (true, m; None:
-        nobody).
+        nobody); `who` is nearest, of several people.
     """
     if samples is None or len(samples) < 2:
         return None
@@ -143,4 +144,23 @@ def make_run_data(samples: Samples | None) -> dict | None:
         "distance": [
             round(float(d), 2) if np.isfinite(d) else None for d in distance
         ],
+        "who": (
+            [
+                samples.find_nearest_person(i)
+                for i in range(0, len(samples), stride)
+            ]
+            if len(samples.metadata.get("people", ())) > 1
+            else []
+        ),
     }
+
+
+def list_shirts(samples: Samples | None) -> list[tuple[str, str]]:
+    """Returns name and colour of the shirt of each of several people.
+
+    Args:
+        samples: The run.
+    """
+    if samples is None or len(samples.metadata.get("people", ())) < 2:
+        return []
+    return list(samples.metadata.get("shirts", {}).items())
