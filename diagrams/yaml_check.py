@@ -102,7 +102,8 @@ def _check_size(text, source):
         depth -= isinstance(event, yaml.CollectionEndEvent)
         values += isinstance(event, yaml.NodeEvent)
         if depth > _DEEPEST or values > _MOST_VALUES:
-            line = event.start_mark.line + 1
+            mark = event.start_mark
+            line = mark.line + 1 if mark else 1
             raise UserError(
                 f"{source}:{line}: nested deeper than {_DEEPEST} levels"
                 if depth > _DEEPEST
@@ -291,7 +292,9 @@ def _suggest(key, known, schema, kinds):
     others = [
         f"!{kind.__name__}"
         for kind in kinds
-        if dc.is_dataclass(kind) and key in {f.name for f in dc.fields(kind)}
+        if isinstance(kind, type)
+        and dc.is_dataclass(kind)
+        and key in {f.name for f in dc.fields(kind)}
     ]
     if others:
         return f"it is one of {', '.join(others)}, not of !{schema.__name__}"

@@ -29,7 +29,7 @@ _SETTINGS = {
     "distributed.scheduler.allowed-failures": 1,
 }
 # On this machine there is nothing to look at over HTTP.
-_NO_PAGES = {
+_NO_PAGES: dict[str, list] = {
     "distributed.scheduler.http.routes": [],
     "distributed.worker.http.routes": [],
 }
@@ -64,7 +64,7 @@ def connect(
         if scheduler is None:
             with (
                 _make_scratch(scratch) as folder,
-                dask.config.set(temporary_directory=folder, **_NO_PAGES),
+                dask.config.set({"temporary_directory": folder, **_NO_PAGES}),
                 LocalCluster(
                     n_workers=workers or len(os.sched_getaffinity(0)),
                     threads_per_worker=1,

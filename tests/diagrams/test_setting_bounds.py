@@ -9,7 +9,7 @@ import pytest
 from tofssm_drake.arms.arm import Arm
 from tofssm_drake.arms.sim_arm import Simulated
 from tofssm_drake.arms.ur_arm import UrArm
-from tofssm_drake.diagrams.rtde_driver import Rtde
+from tofssm_drake.diagrams.drivers.rtde import Rtde
 from tofssm_drake.diagrams.scenario import Scenario
 from tofssm_drake.diagrams.sensors.motion_capture import Link, MotionCapture
 from tofssm_drake.diagrams.sensors.planar_lidar import PlanarLidar

@@ -80,7 +80,8 @@ class TestSsmConfig(unittest.TestCase):
                 with (
                     self.subTest(field.name, value=value),
                     self.assertRaisesRegex(
-                        UserError, rf"^here\.{field.name}: .* greater than 0$"
+                        UserError,
+                        rf"^here\.{field.name}: .*(greater than 0|out of ra)",
                     ),
                 ):
                     dc.replace(mut.SsmConfig(), **{field.name: value}).check(

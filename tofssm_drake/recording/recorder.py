@@ -32,9 +32,9 @@ from tofssm_drake.recording.samples import (
     narrow_type,
 )
 
-# Messages are packed when there are that many.
 _PELVIS = [capsule.name for capsule in CAPSULES].index("pelvis")
 
+# Messages are packed when there are that many.
 _PACK_AT = 512
 # Rows of truth per call, so that few skeletons exist at a time.
 _TRUTH_ROWS = 1024
@@ -428,7 +428,10 @@ class SampleRecorder(Diagram):
         self._rings = tuple(rings)
         self._signals = tuple(signals)
         self._num_sensors = dict(num_sensors)
-        self._metadata = {"rings": list(rings), "period": period}
+        self._metadata: dict[str, Any] = {
+            "rings": list(rings),
+            "period": period,
+        }
         self._metadata.update(metadata or {})
 
         sizes = {
@@ -530,7 +533,7 @@ class SampleRecorder(Diagram):
 
         One person's place is in the columns of the truth.
         """
-        names = self._metadata.get("people", ())
+        names: Sequence[str] = self._metadata.get("people", ())
         if len(self._motions) < 2 or len(names) != len(self._motions):
             return
         for name, motion in zip(names, self._motions, strict=True):
