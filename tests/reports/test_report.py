@@ -98,6 +98,28 @@ class TestReport(unittest.TestCase):
         self.assertNotIn("<script", page)
         self.assertLess(len(page), 4_000_000)
 
+    def test_a_page_of_an_hour_can_be_opened(self):
+        """The robot's state changes five times a second all the time."""
+        mock.patch.stopall()
+        run = make_run(3600.0)
+        tick = np.arange(len(run["t"]))
+        run.column["robot_state"] = (tick // 25 % 3).astype(np.int8)
+        run["tcp_speed"][:] = 0.5 + 0.4 * np.sin(0.01 * tick)
+        page, _, text = self._make(run)
+        self.assertLess(len(page), 5_000_000)
+        self.assertTrue("Every change of state (17998), with" in text)
+        self.assertTrue("16998 later ones are left out here" in text)
+
+    def test_the_fastest_contacts_are_told(self):
+        contacts = [
+            mock.Mock(time=float(i), max_speed=0.1 * (i % 7))
+            for i in range(100)
+        ]
+        told = mut._pick_worst(contacts)
+        self.assertEqual(len(told), 20)
+        self.assertEqual(told, sorted(told, key=lambda c: c.time))
+        self.assertGreaterEqual(min(c.max_speed for c in told), 0.5)
+
     def test_what_was_run(self):
         run = make_rich_run(3.0)
         run.metadata["scenario"] = "human: <b>nobody</b>\n"

@@ -371,7 +371,7 @@ BAD_INPUT = {
     "yaml_syntax": (_text("{law: ["), "--scenario-text:1: not YAML"),
     "yaml_syntax_in_a_file": (
         _file("Cell:\n  law: {\n"),
-        "cell.yaml:3: not YAML",
+        "cell.yaml:2: not YAML",
     ),
     "yaml_is_a_list": (_text("[1, 2]"), "must be a mapping"),
     "file_is_not_text": (

@@ -175,11 +175,28 @@ def _add_boxes(ax, spans, height, **style):
 
 
 def _find_state_spans(samples):
-    spans = find_spans(samples["t"], samples["robot_state"])
+    spans = find_spans(samples["t"], thin_states(samples["robot_state"]))
     return {
         state: [(a, b) for a, b, value in spans if value == state]
         for state in RobotState
     }
+
+
+def thin_states(state: np.ndarray) -> np.ndarray:
+    """Returns states of which no more can be told apart in a picture.
+
+    Args:
+        state: Of each sample, (n,).
+
+    Returns:
+        The same; of more samples than pixels the lowest state of those that
+        share one, (n,).
+    """
+    if len(state) <= _MOST_STATES:
+        return state
+    edges = np.linspace(0, len(state), _MOST_STATES + 1).astype(int)
+    lowest = np.minimum.reduceat(state, edges[:-1])
+    return np.repeat(lowest, np.diff(edges))
 
 
 def _shade(ax, samples):
@@ -230,6 +247,9 @@ def add_legend(ax, handles=None, columns=4):
     )
 
 
+_MOST_ROWS = 4
+# Twice as many as `_count_buckets`.
+_MOST_STATES = 840
 _BOUND = {"slow": ORANGE, "stop": VERMILLION}
 
 
@@ -347,10 +367,11 @@ def _is_close(samples):
 def make_timeline(samples: Samples, *, narrow: bool = False) -> Figure:
     """Draws state, tool speed and the deciding ring's distance over time.
 
-    A long run is broken into rows of at most a minute.
+    A long run is broken into rows of at most a minute, a very long one into
+    four longer ones.
     """
     t = samples["t"]
-    rows = max(int(np.ceil((t[-1] - t[0]) / 60.0)), 1)
+    rows = min(max(int(np.ceil((t[-1] - t[0]) / 60.0)), 1), _MOST_ROWS)
     edges = np.linspace(t[0], max(t[-1], t[0] + 1e-3), rows + 1)
     columns = 2 if narrow else 4
     contacts = find_contacts(samples)

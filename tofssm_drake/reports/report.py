@@ -31,7 +31,10 @@ from tofssm_drake.recording.samples import Samples, write_atomically
 from tofssm_drake.reports import figures
 from tofssm_drake.reports.page import Picture, make_picture, render_page
 
+_MOST_CONTACTS = 20
 _ROWS_SHOWN = 30
+# A page of hours must stay one that a browser opens.
+_MOST_ROWS = 1000
 _NONE = "\u2013"
 _MINUS = "\u2212"
 _BEHIND = "nearer to the link than the sensors sit"
@@ -512,6 +515,12 @@ def _words(name):
     return name.replace("_link", "").replace("_", " ").strip()
 
 
+def _pick_worst(contacts):
+    """Returns the contacts that are told, in the order of time."""
+    fastest = sorted(contacts, key=lambda c: c.max_speed)[-_MOST_CONTACTS:]
+    return sorted(fastest, key=lambda c: c.time)
+
+
 def _make_contact(contact, samples):
     geometry = samples.metadata.get("ring_geometry", {})
     diagrams = [
@@ -690,10 +699,17 @@ def make_report(
         ),
         has_samples=has_samples,
         recording=recording,
-        episodes=[_make_episode_row(e, is_known) for e in episodes],
+        episodes=[
+            _make_episode_row(e, is_known) for e in episodes[:_MOST_ROWS]
+        ],
         rows_shown=_ROWS_SHOWN,
-        events=[_make_event_row(e, is_known) for e in events],
-        contacts=[_make_contact(c, samples) for c in contacts],
+        events=[_make_event_row(e, is_known) for e in events[:_MOST_ROWS]],
+        rows_left_out={
+            "episodes": max(len(episodes) - _MOST_ROWS, 0),
+            "events": max(len(events) - _MOST_ROWS, 0),
+        },
+        contacts=[_make_contact(c, samples) for c in _pick_worst(contacts)],
+        contacts_left_out=max(len(contacts) - _MOST_CONTACTS, 0),
         rings=_make_ring_rows(samples, summary),
         faults=_make_fault_rows(samples),
         link_faults=find_faulted_links(samples),
