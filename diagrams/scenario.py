@@ -158,8 +158,8 @@ class Scenario:
             for name, member in getattr(self, group).items():
                 _check_name(name, f"{at}{group}")
                 member.check(f"{at}{group}.{name}")
-        require_apart(self.people, f"{at}people")
         self._check_names(at)
+        require_apart(self.people, f"{at}people")
         for field in dc.fields(self):
             value = getattr(self, field.name)
             if hasattr(value, "check"):

@@ -1,6 +1,7 @@
 """Ideal sensing and lidar in place of the rings."""
 
 import functools
+import json
 
 import numpy as np
 from paper_cell import RINGS
@@ -135,7 +136,8 @@ class TestScenario:
     def test_dump_and_load(self, sensing):
         scenario = load_scenario(name=sensing)
         values = dump_scenario(scenario)
-        assert change_scenario(Scenario(), str(values), source="x") == scenario
+        text = json.dumps(values)
+        assert change_scenario(Scenario(), text, source="x") == scenario
 
     @pytest.mark.parametrize(
         ("text", "message"),

@@ -80,7 +80,7 @@ cells:
     assert cell.recordings == {str(walk): digest}
     assert mut.read_recordings(scenario) == {str(walk): walk.read_bytes()}
     walk.unlink()
-    with pytest.raises(UserError, match=r"cells\.A: people: .* not a file"):
+    with pytest.raises(UserError, match=r"cells\.A: people.* is not a file"):
         make_scenarios(path)
 
 
