@@ -108,7 +108,8 @@ class TestWorkcellFile(unittest.TestCase):
         )
 
     def test_text_is_relative_to_the_current_folder(self):
-        text = "{people: {guest: !BvhRecording {filename: walk.bvh}}}"
+        guest = "!BvhRecording {filename: walk.bvh}"
+        text = f"{{people: {{visitor: null, guest: {guest}}}}}"
         with contextlib.chdir(self.folder):
             scenario = load_scenario(text=text)
         self.assertEqual(

@@ -80,6 +80,7 @@ class TestApproach(unittest.TestCase):
             "time_s": _CONTACT,
             "speed_mps": 0.13,
             "robot_body": "forearm_link",
+            "person": None,
             "person_part": "left_forearm",
             "cause": "gap",
             "ring": "elbow",
