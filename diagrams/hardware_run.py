@@ -28,6 +28,7 @@ from tofssm_drake.diagrams.scenario import Scenario
 from tofssm_drake.diagrams.tasks import make_task_path
 from tofssm_drake.errors import UserError, require
 from tofssm_drake.messages import RobotReport, SliderCommand
+from tofssm_drake.path_times import list_times
 from tofssm_drake.recording.run_record import RecordedTick, RunRecorder
 from tofssm_drake.ringlink.ring_link import RingConnection, explain_silence
 from tofssm_drake.robots.robot_connection import RobotConnection
@@ -48,6 +49,7 @@ _LONGEST_SILENCE = 10.0
 # The run ends if reports come this much later than the fastest ones, s.
 _LATEST = 0.25
 _PATH_STEP = 0.05
+_MOST_LOOKS = 20_000
 # A joint that exceeds its speed limit by this factor is a fault, and so is one
 # that is this far beyond where it can have gone, rad (assumed).
 _TOO_FAST = 3.0
@@ -96,7 +98,9 @@ def require_ready(
     positions = np.array(
         [
             path.calc_motion(t)[0]
-            for t in np.arange(0.0, path.duration, _PATH_STEP)
+            for t in list_times(
+                path.duration, step=_PATH_STEP, most=_MOST_LOOKS
+            )
         ]
     )
     deviations = np.abs(positions - q)

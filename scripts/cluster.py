@@ -191,7 +191,7 @@ def _wait_for_some(client, futures, tell):
         try:
             return wait(futures, _LOOK, return_when="FIRST_COMPLETED").done
         except TimeoutError:
-            has_workers = bool(client.scheduler_info(0)["workers"])
+            has_workers = bool(client.nthreads())
         if had_workers and not has_workers:
             tell("no worker is left; waiting for one (Ctrl-C ends the wait)")
         had_workers = has_workers

@@ -18,7 +18,7 @@ _FOLDERS = {
 
 _FOR_ALL = (
     *("carried_objects", "device_clock", "errors", "factory"),
-    *("kernels", "messages", "poses", "user_files"),
+    *("kernels", "messages", "path_times", "poses", "user_files"),
 )
 
 # What each room may use of the others.

@@ -1,6 +1,7 @@
 """Functions of a user's own, named in a scenario."""
 
 from collections.abc import Callable, Mapping
+import functools
 import importlib
 import inspect
 import os
@@ -94,3 +95,21 @@ def tell(error: BaseException) -> str:
     """Returns an error in one line."""
     text = " ".join(str(error).split())
     return f"{type(error).__name__}: {text}" if text else type(error).__name__
+
+
+def call_factory_once(
+    factory: str, parameters: Mapping[str, Any], *, where: str
+) -> Any:
+    """Calls a user's function; the next time returns the same.
+
+    For what is asked at every scan or tick. Arguments as for `call_factory`.
+    """
+    # With types: 1 and 1.0 differ.
+    given = tuple((k, v, type(v)) for k, v in sorted(parameters.items()))
+    return _call_once(factory, given, where)
+
+
+@functools.lru_cache(maxsize=32)
+def _call_once(factory, given, where):
+    parameters = {name: value for name, value, _ in given}
+    return call_factory(factory, parameters, where=where)

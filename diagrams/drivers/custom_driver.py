@@ -1,13 +1,12 @@
 """A driver of one's own as a choice of a scenario."""
 
 import dataclasses as dc
-import functools
 
 import numpy as np
 
 from tofssm_drake.diagrams.drivers.real_cell import RealCell
 from tofssm_drake.errors import UserError, require
-from tofssm_drake.factory import call_factory, tell
+from tofssm_drake.factory import call_factory, call_factory_once, tell
 from tofssm_drake.robots.driver import (
     Driver,
     DriverTraits,
@@ -93,22 +92,4 @@ class CustomDriver(RealCell):
         return places
 
     def _load(self) -> Driver:
-        return _load_once(
-            self.factory,
-            tuple((k, v, type(v)) for k, v in sorted(self.parameters.items())),
-        )
-
-
-@functools.lru_cache(maxsize=8)
-def _load_once(factory, parameters):
-    """Returns the driver; it is asked at every tick.
-
-    Args:
-        factory: "package.module:function".
-        parameters: Name, value and type of each: 1 and 1.0 differ.
-    """
-    return call_factory(
-        factory,
-        {name: value for name, value, _ in parameters},
-        where="driver",
-    )
+        return call_factory_once(self.factory, self.parameters, where="driver")

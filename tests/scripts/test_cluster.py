@@ -17,7 +17,15 @@ import tofssm_drake.scripts.cluster as mut
 
 def test_only_the_campaign_may_use_its_workers(tmp_path):
     """Who can talk to a scheduler can run any code as its user."""
+    told = []
     with mut.connect(workers=1, scratch=tmp_path / "scratch") as client:
+        # Longer than a look for workers, of which there is one.
+        calls = {"a": (2.5 * mut._LOOK,)}
+        ((_, _, error),) = mut.call_all(
+            client, time.sleep, calls, tell=told.append
+        )
+        assert error is None
+        assert told == []
         assert client.submit(os.getpid).result() != os.getpid()
         address = client.scheduler.address
         assert address.startswith("tls://127.0.0.1:")

@@ -4,8 +4,12 @@ from typing import Protocol
 
 import numpy as np
 
+from tofssm_drake.path_times import list_times
 from tofssm_drake.perception.self_hit_watch import Look, SelfHitModel, expect
 from tofssm_drake.perception.self_hits import make_no_expectation, must_see
+
+# 200 s step by step; longer tasks are looked at here and there.
+_MOST_LOOKS = 2000
 
 
 class Motion(Protocol):
@@ -36,7 +40,7 @@ def calc_verifiable_share(
         0 to 1, ring by ring, (m, n); 0 for sensors that are declared dead.
     """
     m, n = len(model.name), model.num_sensors
-    times = np.arange(0.0, path.duration, step)
+    times = list_times(path.duration, step=step, most=_MOST_LOOKS)
     count = np.zeros((m, n))
     for time in times:
         q, qd, _ = path.calc_motion(time)

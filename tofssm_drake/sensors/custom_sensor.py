@@ -1,12 +1,11 @@
 """A sensor model of one's own as a choice of a scenario."""
 
 import dataclasses as dc
-import functools
 
 import numpy as np
 
 from tofssm_drake.errors import UserError, require
-from tofssm_drake.factory import call_factory
+from tofssm_drake.factory import call_factory, call_factory_once
 from tofssm_drake.sensors.range_sensor import (
     RangeSensor,
     SensorTraits,
@@ -66,25 +65,9 @@ class CustomSensor:
         return self._load().measure(ray_distance, noise, constants)
 
     def _load(self) -> RangeSensor:
-        return _load_once(
-            self.factory,
-            tuple((k, v, type(v)) for k, v in sorted(self.parameters.items())),
+        return call_factory_once(
+            self.factory, self.parameters, where="sensors.<ring>.sensor"
         )
-
-
-@functools.lru_cache(maxsize=32)
-def _load_once(factory, parameters):
-    """Returns the model; it is asked for at every scan.
-
-    Args:
-        factory: "package.module:function".
-        parameters: Name, value and type of each: 1 and 1.0 differ.
-    """
-    return call_factory(
-        factory,
-        {name: value for name, value, _ in parameters},
-        where="sensors.<ring>.sensor",
-    )
 
 
 def _try_to_measure(sensor, traits, where):
