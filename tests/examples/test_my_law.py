@@ -12,6 +12,7 @@ from tofssm_drake.diagrams.scenario import (
     dump_scenario,
     load_scenario,
 )
+from tofssm_drake.errors import UserError
 from tofssm_drake.laws.custom_law import Custom, make_unknown_separations
 from tofssm_drake.messages import RobotState, make_empty_separation
 from tofssm_drake.recording.samples import read_samples
@@ -73,6 +74,13 @@ def test_unknown_is_slow_or_stopped(my_law):
         assert decision.link == "b" or decision.reason.startswith("stop: ")
     old = make_separation((2.0, 2.0))
     assert my_law.decide(old, 0.11, 0.6, 1.2).target == 0.0
+
+
+@pytest.mark.parametrize("changed", ["stop: 1.2", "stop: 1.5", "slow: 1.0e+300"])
+def test_distances_in_the_wrong_order_are_refused(changed):
+    text = f"{{law: {{parameters: {{{changed}}}}}}}"
+    with pytest.raises(UserError, match=r"^law: .*must be below slow"):
+        load_scenario(filename=FILE, text=text)
 
 
 def test_scenario_survives_a_dump():

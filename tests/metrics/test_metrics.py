@@ -119,6 +119,30 @@ class TestSummary(unittest.TestCase):
         self.assertEqual((summary["steps_done"], summary["steps"]), (4, 4))
         self.assertGreater(summary["task_time_s"], 9.0)
 
+    def test_who_was_touched(self):
+        run = make_run(4.0)
+        run.metadata |= {
+            "people": ["anna", "ben"],
+            "person_parts": [
+                f"{name}'s {part}"
+                for name in ("anna", "ben")
+                for part in ("head", "hand")
+            ],
+        }
+        run["true_distance"][:] = 0.4
+        for row, part in ((100, 3), (200, 0), (300, 3)):
+            run["contact_speed"][row] = 0.5
+            run["true_distance"][row] = -0.01
+            run["person_part"][row] = part
+        run["true_distance"][300] = -0.02
+        summary = mut.calc_summary(run)
+        self.assertEqual(summary["contacts_by_person"], {"anna": 1, "ben": 2})
+        self.assertEqual(summary["nearest_person"], "ben")
+        self.assertEqual(
+            [(c.person, c.person_part) for c in mut.find_contacts(run)],
+            [("ben", "hand"), ("anna", "head"), ("ben", "hand")],
+        )
+
     def test_no_task_counts_nothing(self):
         run = make_run(1.0)
         run.metadata["task"] = {"step": "", "steps": 0}

@@ -825,6 +825,27 @@ class TestMaskScans(unittest.TestCase):
             self.assertEqual(len(cell["twin"].asked), looks)
 
 
+class TestMaxAge(unittest.TestCase):
+    def calc(self, config=None, **changes):
+        config = config or mut.OcclusionMaskConfig()
+        return config.calc_max_age(dc.replace(SENSOR, **changes))
+
+    def test_follows_from_the_sensor(self):
+        self.assertEqual(self.calc(period=0.024, latency=0.015), 0.072)
+        self.assertEqual(self.calc(period=0.037, latency=0.02), 0.111)
+        self.assertEqual(self.calc(period=0.1, latency=0.05), 0.3)
+        # Two periods, and a latency that is longer than one.
+        self.assertEqual(self.calc(period=0.1, latency=0.15), 0.35)
+
+    def test_never_below_that_of_the_default_ring(self):
+        self.assertEqual(self.calc(period=0.001, latency=0.001), 0.072)
+
+    def test_the_scenario_has_the_last_word(self):
+        config = mut.OcclusionMaskConfig(max_age=0.2)
+        self.assertEqual(self.calc(config, period=0.024), 0.2)
+        self.assertEqual(self.calc(config, period=1.0), 0.2)
+
+
 class TestOcclusionMask(unittest.TestCase):
     def setUp(self):
         config = mut.OcclusionMaskConfig()

@@ -452,6 +452,18 @@ class TestLinkRow(unittest.TestCase):
             self.assertEqual(dut.k_o[0], k_max)
 
 
+class TestMaxGap(unittest.TestCase):
+    def test_follows_from_the_sensor(self):
+        dut = mut.SeparationConfig()
+        self.assertEqual(dut.calc_max_gap(), 0.1)
+        self.assertEqual(dut.calc_max_gap(0.024), 0.1)
+        self.assertAlmostEqual(dut.calc_max_gap(0.1), 0.41)
+
+    def test_the_scenario_has_the_last_word(self):
+        dut = mut.SeparationConfig(max_gap=0.05)
+        self.assertEqual(dut.calc_max_gap(0.1), 0.05)
+
+
 class TestTofSeparation(unittest.TestCase):
     def setUp(self):
         self.kinematics = FakeKinematics()

@@ -177,6 +177,51 @@ class TestFigures(unittest.TestCase):
         for make in (mut.make_timeline, mut.make_plan):
             self.assertIn("contact while moving", self._get_texts(make(run)))
 
+    def test_people_and_obstacles_have_names(self):
+        run = make_rich_run(3.0)
+        run.metadata |= {
+            "people": ["anna", "ben"],
+            "plan": {
+                "obstacles": [
+                    {
+                        "label": "cart",
+                        "outline": [[1, 1], [2, 1], [2, 2], [1, 2]],
+                        "way": [[1.5, 1.5], [1.5, -1.5]],
+                    },
+                    {
+                        "label": "shelf",
+                        "outline": [[3, 3], [4, 3], [4, 4], [3, 4]],
+                        "way": [[3.5, 3.5]],
+                    },
+                ]
+            },
+        }
+        for i, name in enumerate(("anna", "ben")):
+            run.column[f"place_of_{name}_x"] = run["t"] + i
+            run.column[f"place_of_{name}_y"] = 0.5 * run["t"]
+        for narrow in (False, True):
+            figure = mut.make_plan(run, narrow=narrow)
+            texts = self._get_texts(figure)
+            for text in (
+                *("anna", "ben", "anna starts", "ben starts"),
+                "cart, at first, dotted: its way",
+                "shelf, stands still",
+                "nearest person, robot stopped",
+            ):
+                self.assertIn(text, texts)
+            # Also without colours.
+            looks = {
+                (handle.get_color(), handle.get_marker())
+                for handle in figure.axes[0].get_legend().legend_handles
+                if getattr(handle, "get_label", str)() in ("anna", "ben")
+            }
+            self.assertEqual(len({marker for _, marker in looks}), 2)
+
+    def test_one_person_is_the_person(self):
+        texts = self._get_texts(mut.make_plan(self.run_))
+        self.assertIn("person starts", texts)
+        self.assertIn("person, robot stopped", texts)
+
     def test_ring_diagram(self):
         figure = mut.make_ring_diagram(
             beam_azimuth=np.arange(8) * np.pi / 4,

@@ -260,6 +260,47 @@ class TestWords(unittest.TestCase):
             self.assertEqual("For 70 % of that time" in text, told)
             self.assertEqual("at which this law stops" in text, told)
 
+    def test_several_people_are_told_apart(self):
+        run = make_run(4.0)
+        run.metadata |= {
+            "people": ["anna", "ben"],
+            "person_parts": ["anna's head", "ben's left_hand"],
+        }
+        run["true_distance"][:] = 0.4
+        run["person_part"][:] = 1
+        self.assertIn(
+            "never touched anna or ben. The nearest was ben, at 0.40 m",
+            str(mut.make_verdict(calc_summary(run))),
+        )
+        run["contact_speed"][100] = 0.5
+        summary = calc_summary(run)
+        self.assertIn(
+            "The moving robot touched ben once: 1 contact",
+            str(mut.make_verdict(summary)),
+        )
+        page = mut.make_report(run, summary)
+        for text in (
+            "beside 2 people",
+            "anna 0, ben 1",
+            "touched ben&#39;s left hand while",
+        ):
+            self.assertIn(text, page)
+
+    def test_tasks_that_place_no_products(self):
+        run = make_run(2.0)
+        run.metadata["task"] = {"step": "", "steps": 0}
+        page = mut.make_report(run, calc_summary(run))
+        self.assertIn("2.0 s without a task that counts", page)
+        self.assertNotIn("products placed", page)
+        run.metadata["task"] = {
+            "step": "waypoint reached",
+            "steps": 3,
+            "step_time": [0.5, 1.0],
+        }
+        page = mut.make_report(run, calc_summary(run))
+        self.assertIn("2 of 3 waypoints were reached", page)
+        self.assertNotIn("products", mut.make_verdict(calc_summary(run))[1][1])
+
     def test_count_of(self):
         self.assertEqual(mut.count_of(0, "contact"), "no contacts")
         self.assertEqual(mut.count_of(1, "contact"), "1 contact")

@@ -3,6 +3,8 @@ import unittest
 import numpy as np
 
 import tofssm_drake.ringlink.ring_faults as mut
+from tofssm_drake.sensors.cone_sensor import ConeSensor
+from tofssm_drake.sensors.vl53l1x import Vl53l1x
 
 
 def count(samples):
@@ -60,6 +62,59 @@ class TestCountRepeats(unittest.TestCase):
     def test_no_count_is_higher_than_the_most(self):
         frames = [([5], [0])] * 70 + [([6 + i], [0]) for i in range(13)]
         self.assertEqual(count(frames).tolist(), [24])
+
+
+class TestCalcFrozenSamples(unittest.TestCase):
+    def calc(self, noise, resolution=0.0):
+        sensor = ConeSensor(
+            sigma=noise, sigma_per_metre=0.0, resolution=resolution
+        )
+        return mut.calc_frozen_samples(sensor.traits)
+
+    def test_of_the_sensors_that_ship(self):
+        self.assertEqual(mut.calc_frozen_samples(Vl53l1x().traits), 25)
+        self.assertEqual(mut.calc_frozen_samples(Vl53l1x(ideal=True).traits), 0)
+        self.assertEqual(
+            mut.calc_frozen_samples(Vl53l1x(noise_gain=0.0).traits), 0
+        )
+        self.assertEqual(mut.calc_frozen_samples(ConeSensor().traits), 25)
+
+    def test_a_coarse_step_may_repeat(self):
+        self.assertEqual(self.calc(0.00075), 25)
+        self.assertEqual(self.calc(0.01, 0.001), 25)
+        self.assertGreater(self.calc(0.005, 0.010), 40)
+        self.assertEqual(self.calc(0.005, 0.050), 0)
+        self.assertEqual(self.calc(0.0, 0.001), 0)
+
+    def test_probability(self):
+        """Against equal neighbours of a still target, mid of a step."""
+        generator = np.random.default_rng(0)
+        for noise in (0.3, 0.5, 0.75, 2.0):
+            steps = np.rint(noise * generator.standard_normal(200_000))
+            self.assertAlmostEqual(
+                mut.calc_repeat_probability(noise),
+                float((steps[1:] == steps[:-1]).mean()),
+                delta=0.01,
+            )
+        self.assertEqual(mut.calc_repeat_probability(0.0), 1.0)
+
+    def test_a_still_target_is_never_frozen(self):
+        """A coarse sensor before a wall, 24 of them for 20 min at 42 Hz."""
+        noise, step = 0.005, 0.010
+        needed = self.calc(noise, step)
+        generator = np.random.default_rng(1)
+        sigma = noise / step
+        steps = np.rint(sigma * generator.standard_normal((50_000, 24)))
+        count = np.zeros(24, dtype=int)
+        most, usual = 0, 0
+        for now, before in zip(steps[1:], steps[:-1], strict=True):
+            is_same = now == before
+            count = np.where(is_same, count + 1, np.maximum(count - 2, 0))
+            most = max(most, int(count.max()))
+            usual += int((count >= mut.FROZEN_SAMPLES).any())
+        self.assertLess(most, needed)
+        # The limit of a finer sensor would have accused some of these.
+        self.assertGreater(usual, 0)
 
 
 class TestFindFrozenSensors(unittest.TestCase):

@@ -77,6 +77,7 @@ class TestStatus(unittest.TestCase):
             "age robot 3, rings 24 ms  gaps 2, 2  3 placed  "
             "base 13 ms, tool 24 ms; 2 lost",
         )
+        self.assertNotIn("placed", self.describe(placed=""))
         line = self.describe(dry_run=True)
         self.assertTrue(line.startswith("reduced  dry run  tool"))
 

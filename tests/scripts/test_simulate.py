@@ -578,6 +578,24 @@ class TestInterruption:
         assert caught.value.code == 7
 
     @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+    def test_while_kernels_are_compiled(
+        self, number, tmp_path, monkeypatch, capfd
+    ):
+        """It is told at once that the run ends, and after what."""
+        advance = simulation.Run.advance
+        told = []
+
+        def interrupt(self):
+            os.kill(os.getpid(), number)
+            told.append(capfd.readouterr().err)
+            return advance(self)
+
+        monkeypatch.setattr(simulation.Run, "advance", interrupt)
+        assert run("--no-recording", "--out", tmp_path) == 130
+        (text,) = told
+        assert "the run ends when its kernels are loaded" in text
+
+    @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
     def test_from_inside(self, number, tmp_path, monkeypatch, capfd):
         advance = simulation.Run.advance
 

@@ -71,6 +71,21 @@ class TestOverlay(unittest.TestCase):
         for word in ("clear", "hit", "masked", "fault", "STOP", "NORMAL"):
             self.assertIn(word, page)
 
+    def test_several_people_are_in_the_legend(self):
+        samples = _make_samples()
+        samples.metadata |= {
+            "people": ["anna", "ben"],
+            "person_parts": ["anna's head", "ben's head"],
+            "shirts": {"anna": "#ff0000", "ben": "#0000ff"},
+        }
+        samples.column["person_part"] = np.ones(len(samples), dtype=int)
+        page = mut.add_overlay(PAGE, samples=samples)
+        for text in ("anna", "ben", "#ff0000", "#0000ff"):
+            self.assertIn(text, page)
+        self.assertEqual(set(mut.make_run_data(samples)["who"]), {"ben"})
+        samples.metadata["people"] = ["anna"]
+        self.assertNotIn("#ff0000", mut.add_overlay(PAGE, samples=samples))
+
     def test_a_link_opens_at_the_frame_that_shows_its_event(self):
         """Runs the page's own arithmetic of frames."""
         page = mut.add_overlay(PAGE, samples=_make_samples(), fps=16.0)

@@ -536,7 +536,11 @@ def make_plan(samples: Samples, *, narrow: bool = False) -> Figure:
         ax.set_aspect("equal", adjustable="datalim")
         ax.set_xlabel("x (m)")
         ax.set_ylabel("y (m)")
-        add_legend(ax, handles, columns=2 if narrow else 3)
+        # Names and obstacles make the entries longer.
+        longer = bool(list_people(samples) or plan.get("obstacles"))
+        if longer and narrow:
+            figure.set_figheight(size[1] + 0.15 * len(handles))
+        add_legend(ax, handles, columns=(2 if narrow else 3) - longer)
     return figure
 
 
@@ -576,8 +580,10 @@ def _draw_tool_path(ax, samples):
 
 def _draw_places(ax, samples):
     """Draws where the person was, by what the robot did then."""
+    # The people's own lines are drawn over them.
+    alpha = 0.4 if list_people(samples) else 1.0
     for state, (x, y) in find_place_states(samples).items():
-        style = _PLACE[state] | {"color": STATE_COLOUR[state]}
+        style = _PLACE[state] | {"color": STATE_COLOUR[state], "alpha": alpha}
         ax.plot(x, y, linestyle="none", zorder=3, **style)
 
 
@@ -628,17 +634,21 @@ def _draw_people(ax, samples):
         return []
     handles = []
     for i, name in enumerate(people):
-        colour, dashes, marker = _PERSON[i % len(_PERSON)]
+        colour, marker = _PERSON[i % len(_PERSON)]
         x, y = (samples[f"place_of_{name}_{axis}"] for axis in "xy")
         style: dict[str, Any] = {
             "color": colour,
-            "linestyle": dashes,
-            "linewidth": 1.4,
+            "marker": marker,
+            "markersize": 4.5,
+            "linewidth": 1.2,
         }
-        # Under the marks of the robot's state, but wider than they are.
-        ax.plot(x, y, zorder=2.5, **style)
+        # Over the marks of the robot's state, which would hide it.
+        ax.plot(x, y, color=colour, linewidth=1.2, zorder=4)
+        rows = np.searchsorted(samples["t"], _MARK_TIMES)
+        rows = rows[rows < len(x)]
+        ax.plot(x[rows], y[rows], zorder=4, **style | {"linestyle": "none"})
         _draw_start(ax, x, y, name, marker=marker, color=colour)
-        handles.append(Line2D([], [], marker=marker, label=name, **style))
+        handles.append(Line2D([], [], label=name, **style))
     return handles
 
 
@@ -724,15 +734,17 @@ def _draw_contacts(ax, samples):
     return [Line2D([], [], label="contact while moving", **style)]
 
 
-# Of each of several people: colour, dashes and mark of the start.
-_PERSON: tuple[tuple[str, Any, str], ...] = (
-    (BLUE, "-", "o"),
-    (PURPLE, (0, (5, 2)), "^"),
-    (SKY, (0, (5, 1.5, 1, 1.5)), "s"),
-    (BLACK, (0, (2, 1.5)), "v"),
-    (GREY, (0, (8, 2)), "P"),
-    (BLUE, (0, (5, 2)), "D"),
+# Of each of several people: colour and mark.
+_PERSON = (
+    (BLUE, "o"),
+    (PURPLE, "^"),
+    (SKY, "P"),
+    (BLACK, "v"),
+    (GREY, "*"),
+    (BLUE, "<"),
 )
+# Once a second at first, s: later the marks would cover one another.
+_MARK_TIMES = np.arange(0.5, 15.0)
 _HATCHES = ("xxx", "///", "...", "---")
 
 _PLACE: dict[RobotState, dict[str, Any]] = {

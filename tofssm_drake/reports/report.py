@@ -95,7 +95,8 @@ def make_verdict(
             [
                 (
                     "note",
-                    f"A stop came late {_times(late)}: the person was truly "
+                    f"A stop came late {_times(late)}: "
+                    f"{_name_somebody(summary)} was truly "
                     "within the distance at which a link stops the robot for "
                     f"more than {USUAL_DELAY:.2f} s before a stop was asked "
                     "for.",
@@ -167,6 +168,10 @@ def _name_nearest(summary):
     )
 
 
+def _name_somebody(summary):
+    return "a person" if _are_several(summary) else "the person"
+
+
 def _join(words, last="and"):
     """Returns "a", "a and b", "a, b and c"."""
     if len(words) < 2:
@@ -224,8 +229,9 @@ def _describe_due(summary):
     if due is None or due <= 0.5 * simulated:
         return ""
     return (
-        f" For {100 * due / simulated:.0f} % of that time the person was truly "
-        "within the distance at which this law stops the robot."
+        f" For {100 * due / simulated:.0f} % of that time "
+        f"{_name_somebody(summary)} was truly within the distance at which "
+        "this law stops the robot."
     )
 
 
