@@ -76,7 +76,9 @@ def test_unknown_is_slow_or_stopped(my_law):
     assert my_law.decide(old, 0.11, 0.6, 1.2).target == 0.0
 
 
-@pytest.mark.parametrize("changed", ["stop: 1.2", "stop: 1.5", "slow: 1.0e+300"])
+@pytest.mark.parametrize(
+    "changed", ["stop: 1.2", "stop: 1.5", "slow: 1.0e+300"]
+)
 def test_distances_in_the_wrong_order_are_refused(changed):
     text = f"{{law: {{parameters: {{{changed}}}}}}}"
     with pytest.raises(UserError, match=r"^law: .*must be below slow"):
