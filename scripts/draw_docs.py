@@ -6,6 +6,7 @@ Debian: `apt-get install graphviz chromium`. The figure of the ray caster's cost
 is measured: `python benchmarks/make_speed_page.py` draws it.
 """
 
+from collections.abc import Iterable
 from pathlib import Path
 import re
 import shutil
@@ -14,6 +15,7 @@ import sys
 import tempfile
 
 import numpy as np
+from pydrake.geometry import Meshcat
 from pydrake.systems.framework import Diagram
 
 from tofssm_drake.diagrams.scenario import find_links, load_scenario
@@ -21,6 +23,7 @@ from tofssm_drake.diagrams.simulation import make_simulator
 from tofssm_drake.diagrams.workcell import make_workcell
 from tofssm_drake.errors import UserError, require
 from tofssm_drake.messages import RobotState
+from tofssm_drake.people.skeleton import CAPSULES
 from tofssm_drake.recording.samples import (
     Samples,
     read_samples,
@@ -35,6 +38,7 @@ _DOT = "dot"
 _BROWSERS = ("chromium", "chromium-browser", "google-chrome")
 _SIZE = (1280, 760)
 _TWIN_SIZE = (700, 620)
+_NO_CONTROLS = "<style>.dg.main { display: none !important; }</style></head>"
 # So long that the strip of states below the picture can be read, s.
 _DURATION = 24.0
 # The person is near, but does not hide the robot.
@@ -133,15 +137,29 @@ def photograph_twin(folder: Path, browser: str, instant: float) -> None:
     make_simulator(
         workcell.diagram, workcell.make_context(scenario.random_seed)
     ).AdvanceTo(instant)
-    for person in scenario.people:
-        meshcat.Delete(f"visualizer/{person}")
+    hide_people(meshcat, scenario.people)
     with tempfile.TemporaryDirectory() as name:
         page = Path(name) / "twin.html"
-        page.write_text(meshcat.StaticHtml(), encoding="utf-8")
+        # Without Meshcat's own controls over the board.
+        html = meshcat.StaticHtml().replace("</head>", _NO_CONTROLS, 1)
+        page.write_text(html, encoding="utf-8")
         write_atomically(
             folder / "twin.png",
             lambda p: take_picture(browser, page.as_uri(), p, size=_TWIN_SIZE),
         )
+
+
+def hide_people(meshcat: Meshcat, people: Iterable[str]) -> None:
+    """Takes people out of what is shown.
+
+    Raises:
+        UserError: One of them is not there.
+    """
+    for person in people:
+        for capsule in CAPSULES:
+            path = f"visualizer/{person}_{capsule.name}"
+            require(meshcat.HasPath(path), f"Meshcat has no {path}")
+            meshcat.Delete(path)
 
 
 def take_picture(

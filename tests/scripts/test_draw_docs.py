@@ -5,6 +5,7 @@ import pytest
 from synthetic_run import make_run
 
 from tofssm_drake.errors import UserError
+from tofssm_drake.people.skeleton import CAPSULES
 import tofssm_drake.scripts.draw_docs as mut
 
 _DOT = """digraph _917 {
@@ -49,6 +50,26 @@ def test_instant_is_a_standstill_for_a_near_person():
     row = np.searchsorted(run["t"], instant)
     assert run["true_distance"][row] == pytest.approx(0.25, abs=0.01)
     assert run["true_distance"][row] > 0.25
+
+
+class _FakeMeshcat:
+    def __init__(self, paths):
+        self.paths = set(paths)
+
+    def HasPath(self, path):
+        return path in self.paths
+
+    def Delete(self, path):
+        self.paths.remove(path)
+
+
+def test_nobody_is_left_in_the_twin():
+    people = [f"visualizer/anna_{capsule.name}" for capsule in CAPSULES]
+    meshcat = _FakeMeshcat([*people, "visualizer/ur10"])
+    mut.hide_people(meshcat, ["anna"])
+    assert meshcat.paths == {"visualizer/ur10"}
+    with pytest.raises(UserError, match="Meshcat has no visualizer/anna_"):
+        mut.hide_people(meshcat, ["anna"])
 
 
 def test_what_is_missing_is_told(tmp_path, monkeypatch):
