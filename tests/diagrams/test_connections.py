@@ -4,7 +4,7 @@ import unittest
 
 import numpy as np
 from paper_cell import RINGS
-from pydrake.geometry import Meshcat
+from pydrake.geometry import Meshcat, MeshcatParams
 from pydrake.systems.framework import Diagram
 
 from tofssm_drake.diagrams.monitor import make_monitor
@@ -119,7 +119,9 @@ class TestPorts(unittest.TestCase):
 class TestConnections(unittest.TestCase):
     @classmethod
     def setUpClass(cls):
-        cls.workcell = make_workcell(load_scenario(), meshcat=Meshcat())
+        cls.workcell = make_workcell(
+            load_scenario(), meshcat=Meshcat(MeshcatParams(host="localhost"))
+        )
         cls.connections = find_connections(cls.workcell.diagram)
 
     def find_sources(self, system):

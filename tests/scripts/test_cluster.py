@@ -15,9 +15,21 @@ from tofssm_drake.errors import UserError
 import tofssm_drake.scripts.cluster as mut
 
 
+def find_listeners():
+    """Returns the sockets on which this process and its children listen."""
+    return {
+        connection.laddr
+        for process in (psutil.Process(), *psutil.Process().children(True))
+        for connection in process.net_connections(kind="inet")
+        if connection.status == psutil.CONN_LISTEN
+    }
+
+
 def test_only_the_campaign_may_use_its_workers(tmp_path):
     """Who can talk to a scheduler can run any code as its user."""
     told = []
+    # Those of other tests that ran in this process.
+    before = find_listeners()
     with mut.connect(workers=1, scratch=tmp_path / "scratch") as client:
         # Longer than a look for workers, of which there is one.
         calls = {"a": (2.5 * mut._LOOK,)}
@@ -35,10 +47,9 @@ def test_only_the_campaign_may_use_its_workers(tmp_path):
         ):
             with pytest.raises(OSError):
                 Client(theirs, security=security, timeout=5)
-        for process in (psutil.Process(), *psutil.Process().children(True)):
-            for connection in process.net_connections(kind="inet"):
-                if connection.status == psutil.CONN_LISTEN:
-                    assert connection.laddr.ip == "127.0.0.1"
+        opened = find_listeners() - before
+        assert opened
+        assert {address.ip for address in opened} == {"127.0.0.1"}
     assert not (tmp_path / "scratch").exists()
 
 

@@ -8,7 +8,7 @@ import types
 import unittest
 
 import numpy as np
-from pydrake.geometry import Meshcat, Rgba, Sphere
+from pydrake.geometry import Meshcat, MeshcatParams, Rgba, Sphere
 
 from tofssm_drake.errors import UserError
 from tofssm_drake.recording.samples import Samples
@@ -22,7 +22,7 @@ PAGE = """<html><head><title>Drake MeshCat</title></head>
 @functools.cache
 def get_meshcat():
     """One per process: each one opens a port of its own."""
-    return Meshcat()
+    return Meshcat(MeshcatParams(host="localhost"))
 
 
 def _make_samples():
