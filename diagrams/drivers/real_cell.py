@@ -1,5 +1,6 @@
 """What every driver of a real cell has: rings, and how its robot is watched."""
 
+import abc
 import dataclasses as dc
 
 import numpy as np
@@ -23,7 +24,7 @@ VIRTUAL = "virtual"
 
 
 @dc.dataclass(kw_only=True)
-class RealCell:
+class RealCell(abc.ABC):
     """Settings of a cell for `tofssm hardware`, whatever its robot's brand.
 
     A kind of driver is derived from it and adds what `Driver`
@@ -56,21 +57,21 @@ class RealCell:
         return True
 
     @property
+    @abc.abstractmethod
     def traits(self) -> DriverTraits:
         """See `Driver`."""
-        raise NotImplementedError
 
+    @abc.abstractmethod
     def open(
         self, *, write: bool = True, tap: Tap | None = None
     ) -> RobotConnection:
         """See `Driver`."""
-        raise NotImplementedError
 
+    @abc.abstractmethod
     def find_carried_objects(
         self, report: ProgressReport, path: ProgramPath
     ) -> np.ndarray:
         """See `Driver`."""
-        raise NotImplementedError
 
     @property
     def is_virtual(self) -> bool:

@@ -7,6 +7,7 @@ intervals, until it is closed. The thread raises nothing: `get_status` says
 what is wrong.
 """
 
+import abc
 from collections.abc import Callable
 import dataclasses as dc
 import math
@@ -31,7 +32,7 @@ class LinkLostError(Exception):
     """The connection cannot be used any more, and why."""
 
 
-class RobotClient:
+class RobotClient(abc.ABC):
     """Talks to a robot until it is closed; a brand's client is derived from it.
 
     A context manager. It starts to connect at once, in its own thread.
@@ -157,9 +158,9 @@ class RobotClient:
 
     # What follows runs in the thread.
 
+    @abc.abstractmethod
     def _serve_connection(self):
         """Connects and reads until something goes wrong, and raises that."""
-        raise NotImplementedError
 
     def _run(self):
         pause = self._retry_first
