@@ -27,6 +27,7 @@ from tofssm_drake.diagrams.sensors import (
     find_link_frames,
 )
 from tofssm_drake.diagrams.tasks import Task
+from tofssm_drake.diagrams.waypoint_file import load_waypoints
 from tofssm_drake.diagrams.yaml_check import (
     MOST_CHARACTERS,
     check_yaml,
@@ -43,6 +44,7 @@ from tofssm_drake.perception.occlusion_mask import OcclusionMaskConfig
 from tofssm_drake.perception.self_hits import SelfHitConfig
 from tofssm_drake.perception.separation import SeparationConfig
 from tofssm_drake.tasks.program import PickAndPlace
+from tofssm_drake.tasks.waypoints import Waypoints
 from tofssm_drake.user_files import read_file
 
 # Systems that every station has; a person's or sensor's is called by its name.
@@ -344,6 +346,8 @@ def change_scenario(scenario: Scenario, text: str, *, source: str) -> Scenario:
     """
     scenario = copy.deepcopy(change_settings(scenario, text, source=source))
     _resolve_paths(scenario, pathlib.Path.cwd())
+    if isinstance(scenario.task, Waypoints):
+        scenario.task = load_waypoints(scenario.task, "task")
     scenario.check()
     return scenario
 

@@ -104,6 +104,12 @@ class CarriedProduct:
 class Waypoints:
     """Goes from waypoint to waypoint and back to the first, again and again."""
 
+    PATHS: ClassVar[tuple[str, ...]] = ("file",)
+    """Settings that are paths of files."""
+
+    # YAML file that has `waypoints` and `objects`, in place of these here.
+    file: str = ""
+
     waypoints: list[Waypoint] = dc.field(default_factory=list)
 
     # How many times.
