@@ -20,6 +20,7 @@ from tofssm_drake.diagrams.sensors import find_link_frames
 from tofssm_drake.diagrams.sensors.rings import find_rings
 from tofssm_drake.diagrams.station import Station, make_station
 from tofssm_drake.metrics.ground_truth import TruthModel
+from tofssm_drake.people.skeleton import PELVIS
 from tofssm_drake.recording.recorder import SampleRecorder
 
 
@@ -154,6 +155,7 @@ def _make_truth(scenario, station):
         plant=station.plant,
         inspector=station.scene_graph.model_inspector(),
         radii=station.people.radii,
+        pelvis=PELVIS,
         people=len(station.people.avatars),
         kinematics=ArmKinematics.from_plant(station.plant, links=frames),
         link_offsets=np.array(list(offsets.values())),

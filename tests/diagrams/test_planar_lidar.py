@@ -93,6 +93,7 @@ def test_truth_is_from_the_lidar(cell, offset, expected):
         plant=cell.plant,
         inspector=cell.scene_graph.model_inspector(),
         radii=[0.1, 0.1],
+        pelvis=0,
         kinematics=cell.kinematics,
         link_offsets=offset,
     )

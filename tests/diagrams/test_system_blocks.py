@@ -8,7 +8,7 @@ import unittest
 
 import numpy as np
 from paper_cell import RINGS, find_kinematics, make_rings
-from pydrake.geometry import Meshcat, SceneGraph
+from pydrake.geometry import Meshcat, MeshcatParams, SceneGraph
 from pydrake.systems.framework import Diagram, LeafSystem
 from robot_room import make_path
 import yaml
@@ -27,6 +27,7 @@ from tofssm_drake.laws.sensing_problem import SensingProblem
 from tofssm_drake.laws.tri_ssm_law import TriSsm
 from tofssm_drake.metrics.ground_truth import GroundTruth, TruthModel
 from tofssm_drake.people.moving_box import MovingBox, MovingBoxSystem
+from tofssm_drake.people.skeleton import PELVIS
 from tofssm_drake.perception.fusion import SeparationFusion
 from tofssm_drake.perception.ideal_separation import (
     IdealSeparation,
@@ -114,7 +115,9 @@ class TestSystemBlocks(unittest.TestCase):
     @classmethod
     def setUpClass(cls):
         cls.scenario = load_scenario()
-        cls.workcell = make_workcell(cls.scenario, meshcat=Meshcat())
+        cls.workcell = make_workcell(
+            cls.scenario, meshcat=Meshcat(MeshcatParams(host="localhost"))
+        )
 
     def check(self, system, docstring):
         block = read_block(docstring)
@@ -134,6 +137,7 @@ class TestSystemBlocks(unittest.TestCase):
             plant=station.plant,
             inspector=station.scene_graph.model_inspector(),
             radii=station.people.radii,
+            pelvis=PELVIS,
             kinematics=find_kinematics(station.plant),
         )
         lidar_config = Lidar2dConfig()

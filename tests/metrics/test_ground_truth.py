@@ -318,6 +318,7 @@ class TestAnyArm(unittest.TestCase):
             plant=plant,
             inspector=scene_graph.model_inspector(),
             radii=np.array([0.15]),
+            pelvis=0,
             kinematics=ArmKinematics.from_plant(plant),
         )
         n = dut.num_positions

@@ -324,7 +324,7 @@ class TruthModel:
         inspector: SceneGraphInspector,
         radii: np.ndarray,
         kinematics: ArmKinematics,
-        pelvis: int = 0,
+        pelvis: int,
         people: int = 1,
         link_offsets: np.ndarray | float = 0.0,
     ):

@@ -174,6 +174,9 @@ def _make_capsules() -> tuple[Capsule, ...]:
 CAPSULES = _make_capsules()
 """The body's pieces; every capsule-wise array has their order."""
 
+PELVIS = [capsule.name for capsule in CAPSULES].index("pelvis")
+"""Index of the capsule whose centre is a person's place."""
+
 CAPSULE_FIRST = np.array([JOINT_INDEX[c.first] for c in CAPSULES])
 CAPSULE_SECOND = np.array([JOINT_INDEX[c.second] for c in CAPSULES])
 CAPSULE_FIRST.flags.writeable = False

@@ -25,14 +25,12 @@ from tofssm_drake.messages import (
     make_empty_separation,
 )
 from tofssm_drake.people.motion import HumanMotion, capsule_ends_over_time
-from tofssm_drake.people.skeleton import CAPSULES
+from tofssm_drake.people.skeleton import PELVIS
 from tofssm_drake.recording.samples import (
     Samples,
     get_link_columns,
     narrow_type,
 )
-
-_PELVIS = [capsule.name for capsule in CAPSULES].index("pelvis")
 
 # Messages are packed when there are that many.
 _PACK_AT = 512
@@ -537,7 +535,7 @@ class SampleRecorder(Diagram):
         if len(self._motions) < 2 or len(names) != len(self._motions):
             return
         for name, motion in zip(names, self._motions, strict=True):
-            pelvis = capsule_ends_over_time(motion, t)[:, _PELVIS]
+            pelvis = capsule_ends_over_time(motion, t)[:, PELVIS]
             place = pelvis.mean(axis=1)
             for axis, values in zip("xy", place.T, strict=False):
                 yield f"place_of_{name}_{axis}", values
