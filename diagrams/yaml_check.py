@@ -286,7 +286,7 @@ def _check_settings(node, schema, source, where, kinds):
 
 def _suggest(key, known, schema, kinds):
     """Returns what would be right in place of an unknown key."""
-    near = difflib.get_close_matches(key, known, n=1)
+    near = difflib.get_close_matches(key, known, n=1, cutoff=0.7)
     if near:
         return f"did you mean {near[0]!r}?"
     others = [

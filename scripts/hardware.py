@@ -159,11 +159,13 @@ def hardware(
         human_motion=human_motion,
         seed=seed,
     )
-    require(
-        len(find_rings(scenario.sensors)) == len(scenario.sensors),
-        "sensors: only rings are known to the ring link; others are for "
-        "simulations",
-    )
+    rings_here = find_rings(scenario.sensors)
+    for name, sensor in scenario.sensors.items():
+        require(
+            name in rings_here,
+            f"sensors.{name}: !{type(sensor).__name__} is for simulations; "
+            "the ring link has rings only",
+        )
     if not driver.is_virtual:
         scenario.people = {}
     driver.checks = options.make_robot_checks(

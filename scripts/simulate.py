@@ -32,7 +32,7 @@ from tofssm_drake.diagrams.workcell import Workcell, make_workcell
 from tofssm_drake.errors import UserError, require
 from tofssm_drake.laws.config import CONFIGURATIONS
 from tofssm_drake.laws.tri_ssm_law import TriSsm
-from tofssm_drake.metrics.metrics import calc_summary
+from tofssm_drake.metrics.metrics import calc_summary, never_started
 from tofssm_drake.metrics.task_progress import TaskSteps, read_task_steps
 from tofssm_drake.people.bvh import BvhRecording
 from tofssm_drake.recording.samples import (
@@ -529,7 +529,7 @@ def describe_outcome(summary: dict) -> str:
 
 
 def _describe_stops(summary):
-    if summary["startup_s"] >= summary["simulated_s"]:
+    if never_started(summary):
         return "it never started"
     return count_of(summary["stop_events"], "stop")
 

@@ -1,5 +1,7 @@
 """A file that cannot be used is told with the setting that names it."""
 
+import itertools
+
 import pytest
 
 from tofssm_drake.diagrams.scenario import Scenario, load_scenario
@@ -46,19 +48,30 @@ def folder(tmp_path, monkeypatch):
     return tmp_path
 
 
-@pytest.mark.parametrize("setting", SETTINGS)
+FILES = [*CONTENTS, "gone.urdf", "folder.urdf", "package://gone/a.urdf"]
+
+
 @pytest.mark.parametrize(
-    "file", [*CONTENTS, "gone.urdf", "folder.urdf", "package://gone/a.urdf"]
+    ("setting", "file"),
+    [
+        pair
+        for pair in itertools.product(SETTINGS, FILES)
+        # An empty list of directives is a workcell.
+        if pair != ("workcell", "two.dmd.yaml")
+    ],
 )
 def test_says_setting_file_and_what_is_wrong(folder, setting, file):
-    if setting == "workcell" and file == "two.dmd.yaml":
-        pytest.skip("is an empty workcell")
     with pytest.raises(UserError) as caught:
         use(SETTINGS[setting].replace("FILE", file))
     text = str(caught.value)
     assert text.startswith(f"{setting}: "), text
     assert file.rpartition("/")[2] in text or "package 'gone'" in text
     assert "\n" not in text
+
+
+def test_a_workcell_may_be_empty(folder):
+    # Nothing stands there: the products have no table.
+    use("{workcell: two.dmd.yaml, task: !NoTask {}}")
 
 
 def test_of_a_study(folder):

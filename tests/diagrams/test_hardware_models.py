@@ -46,7 +46,7 @@ MODELS = sorted(
 )
 TICKS = 12
 # Of a connection; a busy computer must not matter, s.
-_PATIENCE = 60.0
+_PATIENCE = 600.0
 _TIMEOUTS = {
     "connect_timeout": _PATIENCE,
     "reply_timeout": _PATIENCE,

@@ -26,7 +26,7 @@ _MAIN = ("-m", "tofssm_drake.scripts.main")
 # Starts a runner that tolerates a busy computer.
 PATIENT = (Path(__file__).parent / "patient_runner.py",)
 # Longest time for a process to start, s.
-_PATIENCE = 120.0
+_PATIENCE = 600.0
 # Longer than that of a runner.
 _ROBOT_PRIORITY = 20
 # A robot that does not rest within this time never does, s.

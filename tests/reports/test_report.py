@@ -158,6 +158,19 @@ class TestReport(unittest.TestCase):
         verdict = dict(mut.make_verdict(summary))
         self.assertIn("never started: it was told to stop", verdict["bad"])
 
+    def test_a_robot_that_never_started_says_why(self):
+        run = make_run(2.0, geometry=False)
+        run["robot_state"][:] = 0
+        run["reason"][:] = "stop: tool at 0.30 m <= d_C 0.60 m"
+        _, _, text = self._make(run)
+        self.assertIn("At the end it was told: stop: tool at 0.30 m", text)
+        self.assertNotIn("Nothing did, after the start", text)
+        self.assertNotIn("until the law first lets it go", text)
+
+    def test_nobody_is_not_a_person(self):
+        _, _, text = self._make(make_run(2.0, geometry=False))
+        self.assertIn("A robot arm works alone.", text)
+
     def test_real_sensors_tell_nothing_of_contacts(self):
         run = make_run(2.0, geometry=False)
         summary = calc_summary(run) | {"person_is_known": False}

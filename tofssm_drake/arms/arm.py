@@ -229,6 +229,10 @@ class Arm(ArmMount):
                 plant.GetJointActuatorIndices(parsed.instance),
             )
         }
+        require(
+            bool(joints),
+            "robot.fixed_joints: leaves no joint that moves",
+        )
         for name in ("joint_speed", "joint_acceleration", "joint_effort"):
             values = getattr(self, name)
             require(

@@ -404,6 +404,15 @@ def calc_detection(
     return (None if share is None else float(share)), float(ghost)
 
 
+def never_started(summary: dict) -> bool:
+    """Returns whether the robot was told to stop all the time.
+
+    Args:
+        summary: What `calc_summary` returned.
+    """
+    return summary.get("startup_s", 0.0) >= summary["simulated_s"] > 0.0
+
+
 def calc_summary(samples: Samples) -> dict:
     """Returns the numbers of a run.
 

@@ -20,6 +20,7 @@ from tofssm_drake.metrics.metrics import (
     find_contacts,
     find_episodes,
     find_state_events,
+    never_started,
 )
 from tofssm_drake.metrics.sensor_faults import (
     calc_ages,
@@ -196,7 +197,7 @@ def _read_task(summary):
 
 
 def _describe_slowing(summary, watcher):
-    if summary.get("startup_s", 0.0) >= summary["simulated_s"] > 0.0:
+    if never_started(summary):
         return "bad", (
             "The robot never started: it was told to stop from the beginning "
             f"to the end, for {summary['simulated_s']:.1f} s."
@@ -709,6 +710,9 @@ def make_report(
             _make_episode_row(e, is_known) for e in episodes[:_MOST_ROWS]
         ],
         rows_shown=_ROWS_SHOWN,
+        never_started=never_started(summary),
+        last_reason=str(samples["reason"][-1]) if has_samples else "",
+        is_alone=summary["min_true_distance_m"] is None,
         events=[_make_event_row(e, is_known) for e in events[:_MOST_ROWS]],
         rows_left_out={
             "episodes": max(len(episodes) - _MOST_ROWS, 0),
