@@ -7,6 +7,7 @@
 #   make false-alarms    simulates an hour without a fault and counts alarms
 #   make hardware-demo   runs the hardware command on a simulated robot
 #   make fault-table     measures how fast each fault stops that robot
+#   make endurance       watches memory and open files for an hour of each
 #   make fuzz    feeds 100 000 broken inputs to every parser
 #   make images          makes the pictures in docs/images again
 # With another Python, in an environment of its own:
@@ -36,7 +37,7 @@ PYTEST := $(BIN)/python -m pytest --numprocesses auto --dist loadfile \
 	--no-loadscope-reorder
 
 .PHONY: run hardware-demo fault-table false-alarms images test test-long \
-	bench format fuzz clean
+	bench endurance format fuzz clean
 
 run: $(VENV)/.installed
 	$(BIN)/tofssm simulate --out $(OUT)
@@ -58,6 +59,9 @@ bench: $(VENV)/.installed-test
 
 fault-table: $(VENV)/.installed-test
 	$(BIN)/python tests/hardware/fault_table.py
+
+endurance: $(VENV)/.installed-test
+	$(BIN)/python benchmarks/endurance.py
 
 false-alarms: $(VENV)/.installed-test
 	$(BIN)/python benchmarks/false_alarms.py
