@@ -35,7 +35,7 @@ from tofssm_drake.diagrams.yaml_check import (
     get_children,
     parse_yaml,
 )
-from tofssm_drake.errors import UserError, require
+from tofssm_drake.errors import UserError, prefix_errors, require
 from tofssm_drake.laws.custom_law import Custom
 from tofssm_drake.laws.tri_ssm_law import TriSsm
 from tofssm_drake.metrics.standards import AuditConfig
@@ -53,6 +53,8 @@ _SYSTEMS = (
     *("geometry_poses", "people", "nobody", "ignored_separation"),
 )
 
+# Where changes given as text are from.
+_TEXT = "--scenario-text"
 _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 
 
@@ -304,7 +306,21 @@ def load_scenario(
         _load_default(), children[name], source, name, replace=True
     )
     _resolve_paths(scenario, filename.parent)
-    return change_scenario(scenario, text, source="--scenario-text")
+    changed = _apply(scenario, text, _TEXT)
+    try:
+        return _complete(changed)
+    except UserError as error:
+        place = f"{source}: {name}" if _is_wrong(scenario) else _TEXT
+        raise UserError(f"{place}: {error}") from None
+
+
+def _is_wrong(scenario):
+    """Returns whether a scenario would be refused as it is."""
+    try:
+        _complete(scenario)
+    except UserError:
+        return True
+    return False
 
 
 def _load_default() -> Scenario:
@@ -344,10 +360,23 @@ def change_scenario(scenario: Scenario, text: str, *, source: str) -> Scenario:
     Raises:
         UserError: See `load_scenario`.
     """
-    scenario = copy.deepcopy(change_settings(scenario, text, source=source))
-    _resolve_paths(scenario, pathlib.Path.cwd())
+    changed = _apply(scenario, text, source)
+    with prefix_errors(source):
+        return _complete(changed)
+
+
+def _apply(scenario, text, source):
+    """Returns a scenario changed by a text, not yet checked."""
+    changed = copy.deepcopy(change_settings(scenario, text, source=source))
+    _resolve_paths(changed, pathlib.Path.cwd())
+    return changed
+
+
+def _complete(scenario):
+    """Returns a scenario with what is in files of their own, checked."""
     if isinstance(scenario.task, Waypoints):
-        scenario.task = load_waypoints(scenario.task, "task")
+        task = load_waypoints(scenario.task, "task")
+        scenario = dc.replace(scenario, task=task)
     scenario.check()
     return scenario
 

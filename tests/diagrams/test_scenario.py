@@ -323,3 +323,34 @@ class TestCheck(unittest.TestCase):
         mut.load_scenario(
             text="{control_period: 0.002, driver: {time_step: 0.001}}"
         )
+
+
+class TestWhereAMistakeIs(unittest.TestCase):
+    """File and scenario, or the text that changes it, is to blame."""
+
+    def load(self, content, text=""):
+        with tempfile.TemporaryDirectory() as folder:
+            path = Path(folder) / "mine.yaml"
+            path.write_text(content)
+            with self.assertRaises(UserError) as caught:
+                mut.load_scenario(filename=path, name="Mine", text=text)
+        return str(caught.exception)
+
+    def test_in_the_file(self):
+        wrong = "Mine: {simulation_duration: -1}"
+        for text in ("", "{random_seed: 3}"):
+            said = self.load(wrong, text)
+            self.assertRegex(said, r"mine\.yaml: Mine: simulation_duration: ")
+
+    def test_in_the_text(self):
+        said = self.load("Mine: {random_seed: 3}", "{simulation_duration: -1}")
+        self.assertRegex(said, r"^--scenario-text: simulation_duration: ")
+
+    def test_what_the_file_alone_lacks_the_text_may_give(self):
+        with tempfile.TemporaryDirectory() as folder:
+            path = Path(folder) / "mine.yaml"
+            path.write_text("Mine: {simulation_duration: -1}")
+            scenario = mut.load_scenario(
+                filename=path, name="Mine", text="{simulation_duration: 2}"
+            )
+        self.assertEqual(scenario.simulation_duration, 2.0)

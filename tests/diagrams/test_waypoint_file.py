@@ -42,7 +42,7 @@ def test_is_as_written_in_the_scenario(tmp_path):
 @pytest.mark.parametrize(
     ("program", "more", "message"),
     [
-        ("waypoints: [", "", r"^task\.file: .*program\.yaml:1: not YAML"),
+        ("waypoints: [", "", r"Mine: task\.file: .*program\.yaml:1: not YAML"),
         ("waypoint: []", "", r"program\.yaml:1: program\.waypoint: .*mean"),
         ("rounds: 3", "", r"program\.rounds: unknown key"),
         ("waypoints: [{joints: [0]}]", "", "task.waypoints: must be two"),
@@ -66,6 +66,6 @@ def test_mistakes(tmp_path, program, more, message):
 
 def test_no_such_file():
     with pytest.raises(
-        UserError, match=r"^task\.file: .*gone\.yaml: No such file"
+        UserError, match=r"^--scenario-text: task\.file: .*gone\.yaml: No such"
     ):
         load_scenario(text="{task: !Waypoints {file: gone.yaml}}")
