@@ -30,6 +30,10 @@ from tofssm_drake.perception.self_hit_coverage import (
     tell_coverage,
 )
 
+# A task is looked at where its robot is at so many times of its first minutes.
+_POSTURES = 100
+_LONGEST_ROUND = 200.0
+
 
 def make_monitor(
     scenario: Scenario,
@@ -123,7 +127,7 @@ def make_twin(
             mask=scenario.mask,
             self_hits=scenario.self_hits,
             separation=scenario.separation,
-            home=path.calc_motion(0.0)[0],
+            postures=_find_postures(path),
         ),
         scene_graph=scene_graph,
         plant=plant,
@@ -131,6 +135,12 @@ def make_twin(
         objects=path.objects,
         person_radii=person_radii,
     )
+
+
+def _find_postures(path):
+    """Returns joints along the first minutes of a task, (k, n)."""
+    times = np.linspace(0.0, min(path.duration, _LONGEST_ROUND), _POSTURES)
+    return np.array([path.calc_motion(time)[0] for time in times])
 
 
 def _add_law(builder, scenario, separation):

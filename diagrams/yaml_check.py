@@ -85,7 +85,7 @@ def parse_yaml(text: str, source: str) -> yaml.MappingNode:
             f"{source}:{node.start_mark.line + 1}: must be a mapping of keys "
             f"to values"
         )
-    _check_keys(node, source, [], {})
+    _check_keys(node, source, "", [], {})
     _tag_kinds(node, set())
     return node
 
@@ -111,7 +111,7 @@ def _check_size(text, source):
             )
 
 
-def _check_keys(node, source, above, done):
+def _check_keys(node, source, where, above, done):
     """Raises UserError unless every key is a word and occurs once.
 
     Nor may aliases and merges stand for more values than a text may have.
@@ -119,6 +119,7 @@ def _check_keys(node, source, above, done):
     Args:
         node: Checked with everything below it.
         source: Name of the document.
+        where: Path of keys to the node.
         above: The nodes around it; an alias may lead back to one of them.
         done: How many values each correct node stands for, by identity; each
             is checked once, however many aliases lead to it. Changed.
@@ -127,8 +128,12 @@ def _check_keys(node, source, above, done):
         How many values the node stands for.
     """
 
-    def fail(place, problem):
-        raise UserError(f"{source}:{place.start_mark.line + 1}: {problem}")
+    def fail(place, problem, key=""):
+        line = place.start_mark.line + 1
+        path = ".".join(filter(None, (where, key)))
+        raise UserError(
+            f"{source}:{line}: {path + ': ' if path else ''}{problem}"
+        )
 
     if isinstance(node, yaml.ScalarNode):
         return 1
@@ -139,11 +144,9 @@ def _check_keys(node, source, above, done):
     above = [*above, node]
     if isinstance(node, yaml.MappingNode):
         _check_mapping_keys(node, fail)
-        children = [child for _, child in node.value]
-    else:
-        children = node.value
     count = 1 + sum(
-        _check_keys(child, source, above, done) for child in children
+        _check_keys(child, source, path, above, done)
+        for path, child in _find_paths(node, where)
     )
     if count > _MOST_VALUES:
         fail(node, f"stands for more than {_MOST_VALUES} values")
@@ -151,8 +154,18 @@ def _check_keys(node, source, above, done):
     return count
 
 
+def _find_paths(node, where):
+    """Yields the children of a mapping or list, each with its path of keys."""
+    if isinstance(node, yaml.MappingNode):
+        for key, child in node.value:
+            yield f"{where}.{key.value}" if where else key.value, child
+    else:
+        for i, child in enumerate(node.value):
+            yield f"{where}[{i}]", child
+
+
 def _check_mapping_keys(node, fail):
-    """Checks a mapping's own keys; calls `fail` with node and problem."""
+    """Checks a mapping's own keys; calls `fail` with what is wrong."""
     first: dict[str, int] = {}
     for key, child in node.value:
         if not isinstance(key, yaml.ScalarNode):
@@ -160,14 +173,14 @@ def _check_mapping_keys(node, fail):
         if key.value in first:
             fail(
                 key,
-                f"{key.value}: appears twice, first in line "
-                f"{first[key.value]}; leave one",
+                f"appears twice, first in line {first[key.value]}; leave one",
+                key.value,
             )
         first[key.value] = key.start_mark.line + 1
         if key.tag == _MERGE:
             parts = child.value if child.id == "sequence" else [child]
             if any(part.id != "mapping" for part in parts):
-                fail(child, f"{key.value}: must name mappings to merge")
+                fail(child, "must name mappings to merge", key.value)
 
 
 def _tag_kinds(node, seen):

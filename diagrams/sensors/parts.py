@@ -41,8 +41,8 @@ class MonitorSettings:
     mask: OcclusionMaskConfig
     self_hits: SelfHitConfig
     separation: SeparationConfig
-    home: np.ndarray
-    """Joints with which the robot starts, rad, (n,)."""
+    postures: np.ndarray
+    """Joints along the task, rad or m, (k, n); the first is where it starts."""
 
 
 @dc.dataclass(frozen=True, eq=False, kw_only=True)

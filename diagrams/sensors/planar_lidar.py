@@ -144,7 +144,8 @@ def add_lidar_to_monitor(
                 caster=caster,
                 bundle=bundle,
                 twin=twin,
-                q=settings.home,
+                postures=settings.postures,
+                margin=lidar.separation.background_margin,
                 where=f"sensors.{name}.X_PS",
             ),
             period=settings.control_period,
@@ -237,7 +238,8 @@ def scan_background(
     caster: RayCaster,
     bundle: RayBundles,
     twin: TwinPoses,
-    q: np.ndarray,
+    postures: np.ndarray,
+    margin: float,
     where: str,
 ) -> np.ndarray:
     """Returns the exact ranges in the empty cell, m, (n,).
@@ -246,18 +248,31 @@ def scan_background(
         caster: Of the twin's SceneGraph, in which there are no people.
         bundle: The lidar's rays.
         twin: Poses the caster's frames.
-        q: Joints of the robot during the scan, rad.
+        postures: Joints of the robot along its task, rad or m, (k, n); the
+            scan is made in the first.
+        margin: A return this far before the background is a person's, m.
         where: What the user calls the lidar's pose, for the message.
 
     Raises:
-        UserError: If the lidar is inside something.
+        UserError: If the lidar is inside something, or would take the robot
+            for a person.
     """
     # Objects are in their first places, above the lidar's plane.
-    X_WF = twin.calc(q, np.zeros(twin.num_objects))
-    distance, _ = caster.cast_bundles(bundle, X_WF)
+    places = np.zeros(twin.num_objects)
+    ranges = [
+        caster.cast_bundles(bundle, twin.calc(q, places))[0][0]
+        for q in postures
+    ]
+    background = ranges[0]
     require(
-        bool((distance[0] > 0.0).all()),
+        bool((background > 0.0).all()),
         f"{where}: the lidar is inside the robot or something in its cell; use "
         "a height at which it has a free view, such as 0.3 m",
     )
-    return distance[0]
+    require(
+        bool((np.min(ranges, axis=0) >= background - margin).all()),
+        f"{where}: the robot crosses the lidar's plane during its task and "
+        "would be taken for a person; use a plane below its reach, such as "
+        "0.3 m",
+    )
+    return background

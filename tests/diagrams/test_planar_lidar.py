@@ -5,7 +5,7 @@ from pydrake.systems.framework import DiagramBuilder
 import pytest
 
 from tofssm_drake.arms.kinematics import ArmKinematics
-from tofssm_drake.diagrams.monitor import make_twin
+from tofssm_drake.diagrams.monitor import make_monitor, make_twin
 from tofssm_drake.diagrams.scenario import load_scenario
 import tofssm_drake.diagrams.sensors.planar_lidar as mut
 from tofssm_drake.errors import UserError
@@ -57,7 +57,8 @@ def test_background_is_the_tables_legs(cell):
         caster=cell.caster,
         bundle=cell.bundle,
         twin=cell.twin,
-        q=cell.path.calc_motion(0.0)[0],
+        postures=[cell.path.calc_motion(0.0)[0]],
+        margin=0.05,
         where="here",
     )
     angles = calc_lidar_angles(cell.config)
@@ -136,9 +137,18 @@ def test_a_lidar_inside_of_something_is_an_error(cell):
             caster=caster,
             bundle=bundle,
             twin=cell.twin,
-            q=cell.path.calc_motion(0.0)[0],
+            postures=[cell.path.calc_motion(0.0)[0]],
+            margin=0.05,
             where="here",
         )
+
+
+def test_a_lidar_in_the_robots_reach_is_an_error():
+    text = "{sensors: {far: !PlanarLidar {X_PS: {translation: [2, 0, 1.2]}}}}"
+    with pytest.raises(
+        UserError, match=r"sensors\.far\.X_PS: the robot crosses the lidar's"
+    ):
+        make_monitor(load_scenario(text=text))
 
 
 def test_housing_must_be_in_the_cell(cell):

@@ -122,7 +122,14 @@ def _resolve(packages, url, where):
             else f"known are {', '.join(sorted(packages.GetPackageNames()))}"
         )
         raise UserError(f"{where}: no package {name!r}; {hint}")
-    path = pathlib.Path(packages.GetPath(name)) / url.split("/", 3)[3]
+    try:
+        folder = packages.GetPath(name)
+    except RuntimeError:
+        raise UserError(
+            f"{where}: package {name!r} is not on this machine and cannot be "
+            "downloaded now"
+        ) from None
+    path = pathlib.Path(folder) / url.split("/", 3)[3]
     require(path.is_file(), f"{where}: there is no file {url}")
     return path.resolve()
 

@@ -6,7 +6,11 @@ import math
 import numpy as np
 from pydrake.math import RigidTransform, RotationMatrix
 from pydrake.multibody.plant import MultibodyPlant
-from pydrake.multibody.tree import FixedOffsetFrame, FrameIndex
+from pydrake.multibody.tree import (
+    FixedOffsetFrame,
+    FrameIndex,
+    ModelInstanceIndex,
+)
 
 from tofssm_drake.errors import UserError, check_range, require
 from tofssm_drake.poses import Pose
@@ -147,4 +151,19 @@ def find_frame(plant: MultibodyPlant, name: str, where: str):
         return found[0]
     if found:
         raise UserError(f"{where}: several frames are called {name!r}")
+    require(
+        not model or plant.HasModelInstanceNamed(model),
+        f"{where}: there is no model {model!r}, only "
+        f"{', '.join(_list_models(plant))}; sensors that a scenario does not "
+        "give are those of the shipped cell",
+    )
     raise UserError(f"{where}: the robot has no frame {name!r}")
+
+
+def _list_models(plant):
+    """Returns the names of the models that have bodies, without the world."""
+    return [
+        plant.GetModelInstanceName(model)
+        for i in range(2, plant.num_model_instances())
+        if plant.GetBodyIndices(model := ModelInstanceIndex(i))
+    ]
