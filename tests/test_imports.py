@@ -168,6 +168,15 @@ class TestLoading(unittest.TestCase):
             ("raycast", ("matplotlib", "mcap", "pyarrow", "ruckig", "serial")),
             ("laws", ("matplotlib", "mcap", "pyarrow", "serial", "trimesh")),
             ("rtde", ("matplotlib", "mcap", "pyarrow", "serial", "trimesh")),
+            ("arms", ("matplotlib", "mcap", "pyarrow", "ruckig", "serial")),
+            ("metrics", ("matplotlib", "mcap", "serial", "trimesh")),
+            ("people", ("matplotlib", "mcap", "pyarrow", "serial", "trimesh")),
+            ("perception", ("matplotlib", "mcap", "pyarrow", "serial")),
+            ("recording", ("matplotlib", "mcap", "serial", "trimesh")),
+            ("ringlink", ("matplotlib", "mcap", "pyarrow", "ruckig")),
+            ("robots", ("matplotlib", "mcap", "pyarrow", "serial")),
+            ("sensors", ("matplotlib", "mcap", "pyarrow", "serial")),
+            ("tasks", ("matplotlib", "mcap", "pyarrow", "serial")),
         ):
             with self.subTest(room):
                 program = (
