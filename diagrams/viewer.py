@@ -252,7 +252,7 @@ class Viewer:
             begin: Since when, s on the monotonic clock.
         """
         idle = time.monotonic() - max(self._progress, begin)
-        if idle > self._patience and not self._problem:
+        if idle > self._patience:
             self._give_up(f"it did nothing for {self._patience:g} s")
 
     def _give_up(self, problem):
@@ -288,7 +288,8 @@ class Viewer:
     def _take(self, answer):
         """Takes an answer of the viewer."""
         if "error" in answer:
-            self._problem = self._problem or str(answer["error"])
+            # Whether or not it manages to end by itself.
+            self._give_up(str(answer["error"]))
         if "url" in answer:
             if self._settings.is_watched:
                 with contextlib.suppress(OSError, ValueError):
