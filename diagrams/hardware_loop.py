@@ -151,7 +151,6 @@ class HardwareLoop:
         self._scenario = scenario
         self._sending = False
         self._send = send
-        self._show = show
         self._newest: TickResult | None = None
         law = scenario.law.traits
         self._deadline = law.deadline
@@ -169,7 +168,7 @@ class HardwareLoop:
         self._workcell = make_workcell(
             scenario,
             station=self._station,
-            prebuild=None if show is None else self._add_frame_sender,
+            prebuild=show and functools.partial(self._show_frames, show),
             with_samples=with_samples,
         )
         self._publisher = self._station.diagram.GetSubsystemByName(
@@ -267,20 +266,18 @@ class HardwareLoop:
         self._sent = time.monotonic()
         return True
 
-    def _add_frame_sender(self, builder, station, monitor):
-        """Adds what a viewer needs to the workcell."""
-        add_frame_sender(
-            builder, self._scenario, station, monitor, self._show_frame
-        )
+    def _show_frames(self, show, builder, station, monitor):
+        """Adds what shows frames, with the health at the tick before."""
 
-    def _show_frame(self, frame):
-        """Shows a frame with the health at the tick before it."""
-        if not self._sending:
-            return
-        if self._newest is not None:
-            health = describe_links(self._newest, deadline=self._deadline)
-            frame = dc.replace(frame, health=health)
-        self._show(frame)
+        def send(frame):
+            if not self._sending:
+                return
+            if self._newest is not None:
+                health = describe_links(self._newest, deadline=self._deadline)
+                frame = dc.replace(frame, health=health)
+            show(frame)
+
+        add_frame_sender(builder, self._scenario, station, monitor, send)
 
     def _warm_up(self):
         """Runs a few ticks so that kernels are compiled."""

@@ -162,7 +162,7 @@ class Viewer:
     def start(self) -> None:
         """Starts the process; does not wait for it."""
         try:
-            self._process = subprocess.Popen(
+            process = subprocess.Popen(
                 self._command,
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
@@ -173,12 +173,15 @@ class Viewer:
         except OSError as error:
             self._tell_end(f"cannot be started: {error.strerror}")
             return
+        self._process = process
         self._progress = time.monotonic()
         self._queue.put(self._settings)
-        for work in (self._feed, self._listen):
-            thread = threading.Thread(target=work, daemon=True)
+        self._threads = [
+            threading.Thread(target=self._feed, args=[process], daemon=True),
+            threading.Thread(target=self._listen, args=[process], daemon=True),
+        ]
+        for thread in self._threads:
             thread.start()
-            self._threads.append(thread)
 
     def wait_until_ready(self) -> None:
         """Waits until browsers can watch, or the viewer has ended."""
@@ -258,11 +261,12 @@ class Viewer:
     def _give_up(self, problem):
         """Ends the viewer; what listens to it tells why."""
         self._problem = self._problem or problem
-        self._process.kill()
+        if self._process is not None:
+            self._process.kill()
 
-    def _feed(self):
+    def _feed(self, process):
         """Writes messages into the pipe, as fast as the viewer takes them."""
-        with contextlib.suppress(OSError), self._process.stdin as pipe:
+        with contextlib.suppress(OSError), process.stdin as pipe:
             while (message := self._queue.get()) is not None:
                 try:
                     data = pickle.dumps(message)
@@ -274,13 +278,13 @@ class Viewer:
                 pipe.flush()
                 self._progress = time.monotonic()
 
-    def _listen(self):
+    def _listen(self, process):
         """Takes the viewer's answers until it ends; tells why it did."""
-        for line in self._process.stdout:
+        for line in process.stdout:
             self._progress = time.monotonic()
             with contextlib.suppress(ValueError):
                 self._take(json.loads(line))
-        code = self._process.wait()
+        code = process.wait()
         if not self._is_closing:
             self._tell_end(self._problem or _describe_exit(code))
         self._ended.set()

@@ -52,7 +52,7 @@ class TestTrouble:
         [
             (_GONE, "exit code 3"),
             (_BROKEN, "no room"),
-            (f"{_BROKEN}; {_SILENT}", "no room"),
+            (f"{_BROKEN}\n{_SILENT}", "no room"),
             ("import os; os.abort()", "signal SIGABRT"),
         ],
     )
