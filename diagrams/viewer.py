@@ -35,7 +35,7 @@ _WAITING_RECORDED = 1024
 _WAITING_LIVE = 32
 # From one look at whether the viewer has ended to the next, s.
 _LOOK = 0.1
-# How long the viewer may take to end by itself, s.
+# How long a killed viewer may take to end, s.
 _FAREWELL = 2.0
 
 
@@ -222,12 +222,11 @@ class Viewer:
         self._is_closing = True
         if self._process is None:
             return
-        # The feeder may wait for the viewer, and the viewer for the feeder.
+        # It has nothing to save, and would take a second to end by itself.
+        self._process.kill()
+        # The feeder waits for a message, or for a pipe that is now broken.
         with contextlib.suppress(queue.Full):
             self._queue.put_nowait(None)
-        with contextlib.suppress(subprocess.TimeoutExpired):
-            self._process.wait(_FAREWELL)
-        self._process.kill()
         for thread in self._threads:
             thread.join(_FAREWELL)
         self._ended.set()
