@@ -1,12 +1,12 @@
 """Runs the monitor on a real robot's reports, one tick per report."""
 
+from collections.abc import Callable
 import dataclasses as dc
 import functools
 import math
 import time
 
 import numpy as np
-from pydrake.geometry import Meshcat
 from pydrake.systems.framework import Context
 
 from tofssm_drake.arms.kinematics import ArmKinematics
@@ -15,12 +15,14 @@ from tofssm_drake.diagrams.hardware_station import (
     make_slider_config,
 )
 from tofssm_drake.diagrams.held_connections import HeldRings, HeldRobot
-from tofssm_drake.diagrams.scenario import Scenario, find_links
+from tofssm_drake.diagrams.scenario import Scenario
 from tofssm_drake.diagrams.sensors.rings import find_rings
 from tofssm_drake.diagrams.simulation import make_simulator
 from tofssm_drake.diagrams.tasks import make_task_path
+from tofssm_drake.diagrams.viewer import add_frame_sender
 from tofssm_drake.diagrams.workcell import Workcell, make_workcell
 from tofssm_drake.messages import (
+    Frame,
     RingHealth,
     RingScan,
     RobotReport,
@@ -38,7 +40,6 @@ from tofssm_drake.visualization.health_board import (
     FAULT,
     HELD,
     OK,
-    HealthBoard,
 )
 
 # How many periods of virtual rings, or of made-up scans, a warm-up takes.
@@ -132,7 +133,8 @@ class HardwareLoop:
         virtual_rings: Simulate the rings in the twin.
         send: Takes the commands; None drops them.
         slider: Settings of the slider; None: the scenario's.
-        meshcat: Where to show the twin; None shows nothing.
+        show: Takes what a viewer draws, 16 times a second; it must neither
+            raise nor block. None shows nothing.
         with_samples: Keep samples for a report; they grow with the run.
     """
 
@@ -143,12 +145,13 @@ class HardwareLoop:
         virtual_rings: bool,
         send=None,
         slider: SliderConfig | None = None,
-        meshcat: Meshcat | None = None,
+        show: Callable[[Frame], None] | None = None,
         with_samples: bool = False,
     ):
         self._scenario = scenario
         self._sending = False
         self._send = send
+        self._newest: TickResult | None = None
         law = scenario.law.traits
         self._deadline = law.deadline
         slider = make_slider_config(scenario) if slider is None else slider
@@ -165,22 +168,17 @@ class HardwareLoop:
         self._workcell = make_workcell(
             scenario,
             station=self._station,
-            meshcat=meshcat,
+            prebuild=show and functools.partial(self._show_frames, show),
             with_samples=with_samples,
         )
         self._publisher = self._station.diagram.GetSubsystemByName(
             "robot_publisher"
         )
-        self._board = None
         self._sent = math.nan
         self._has_begun = False
         self._begin(random_seed=0)
         self._warm_up()
         self._begin(random_seed=scenario.random_seed)
-        if meshcat is not None:
-            self._board = HealthBoard(
-                meshcat=meshcat, names=(*find_links(scenario), "robot")
-            )
         self._sending = True
 
     @property
@@ -215,10 +213,8 @@ class HardwareLoop:
         # Events at exactly that time would otherwise wait for the next tick.
         self._simulator.AdvancePendingEvents()
         self._publisher.ForcedPublish(self._publisher_context)
-        result = self._read(given)
-        if self._board is not None:
-            self._board.show(describe_links(result, deadline=self._deadline))
-        return result
+        self._newest = self._read(given)
+        return self._newest
 
     def _begin(self, random_seed):
         """Starts from a new Context."""
@@ -270,6 +266,19 @@ class HardwareLoop:
         self._sent = time.monotonic()
         return True
 
+    def _show_frames(self, show, builder, station, monitor):
+        """Adds what shows frames, with the health at the tick before."""
+
+        def send(frame):
+            if not self._sending:
+                return
+            if self._newest is not None:
+                health = describe_links(self._newest, deadline=self._deadline)
+                frame = dc.replace(frame, health=health)
+            show(frame)
+
+        add_frame_sender(builder, self._scenario, station, monitor, send)
+
     def _warm_up(self):
         """Runs a few ticks so that kernels are compiled."""
         scenario = self._scenario
@@ -295,6 +304,7 @@ class HardwareLoop:
                     ),
                 )
             )
+        self._newest = None
         self._station.robot.report = RobotReport()
         if self._station.rings is not None:
             self._station.rings.scans = HeldRings(tuple(rings)).scans

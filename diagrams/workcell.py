@@ -63,7 +63,9 @@ def make_workcell(
     Args:
         scenario: Checked settings.
         station: Of the same scenario; None makes a simulated one.
-        meshcat: Where to show the cell; None shows nothing.
+        meshcat: Where to show the cell; None shows nothing. It listens to
+            every program of this machine and can end the process: a viewer
+            in a process of its own (`diagrams/viewer.py`) cannot.
         with_samples: Keep samples for a report; they grow with the run.
         prebuild: Called with the builder, the station and the monitor before
             the Diagram is built, to add systems of one's own.
@@ -92,9 +94,15 @@ def make_workcell(
         recorder = _add_recorder(builder, scenario, station, monitor)
     if meshcat is not None:
         # Only here: what draws takes long to import.
-        from tofssm_drake.diagrams.display import add_display
+        import tofssm_drake.diagrams.display as display
 
-        add_display(builder, scenario, station, monitor, meshcat)
+        display.add_display(
+            builder,
+            scenario,
+            station.plant,
+            display.find_display_ports(scenario, station.diagram, monitor),
+            meshcat,
+        )
     for name in ("speed_fraction", "decision", "separation"):
         builder.ExportOutput(monitor.GetOutputPort(name), name)
     for name in ("position_measured", "velocity_measured"):

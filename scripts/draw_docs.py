@@ -30,8 +30,8 @@ from tofssm_drake.recording.samples import (
     write_atomically,
 )
 from tofssm_drake.scripts.main import run
-from tofssm_drake.scripts.simulate import make_display
 from tofssm_drake.visualization.health_board import OK, HealthBoard
+from tofssm_drake.visualization.recording import make_display
 
 # Graphviz's and a browser's.
 _DOT = "dot"

@@ -29,6 +29,7 @@ from tofssm_drake.diagrams.scenario import (
     find_links,
 )
 from tofssm_drake.diagrams.simulation import Progress
+from tofssm_drake.diagrams.viewer import Viewer, ViewerSettings
 from tofssm_drake.errors import UserError
 from tofssm_drake.laws.law import describe_law
 from tofssm_drake.recording.run_record import RunRecorder
@@ -42,7 +43,6 @@ from tofssm_drake.scripts.simulate import (
     catch_stop,
     describe_outcome,
     interrupt_on_stop,
-    make_display,
     make_folder,
     summarize,
     write_results,
@@ -146,7 +146,7 @@ def run_session(settings: SessionSettings) -> int:
             robot.get_report(),
         )
         with interrupt_on_stop(stopped, _TOO_EARLY):
-            loop = _make_loop(settings, robot)
+            loop = _make_loop(stack, settings, robot)
         if settings.in_real_time and not stack.enter_context(
             run_in_real_time()
         ):
@@ -223,23 +223,34 @@ def _hold_slider(settings, robot):
     hold_robot(robot, slider.minimum_fraction)
 
 
-def _make_loop(settings, robot):
-    """Makes the loop at the robot's rate."""
+def _make_loop(stack, settings, robot):
+    """Makes the loop at the robot's rate, and its viewer."""
     set_control_period(
         settings.scenario,
         frequency=robot.get_status().frequency,
         control_period=settings.control_period,
     )
-    display = make_display() if settings.with_meshcat else None
-    if display is not None:
-        print(f"watch at {display.web_url()}", flush=True)
+    viewer = None
+    if settings.with_meshcat:
+        viewer = stack.enter_context(_make_viewer(settings))
+        viewer.start()
     return HardwareLoop(
         scenario=settings.scenario,
         virtual_rings=settings.is_virtual,
         send=None if settings.is_dry_run else robot.send,
         slider=settings.slider,
-        meshcat=display,
+        show=None if viewer is None else viewer.send,
         with_samples=settings.out is not None,
+    )
+
+
+def _make_viewer(settings):
+    """Makes the viewer of the twin; a real person is unknown."""
+    seen = settings.scenario
+    if not settings.is_virtual:
+        seen = dc.replace(seen, people={}, obstacles={})
+    return Viewer(
+        ViewerSettings(scenario=seen, is_watched=True, with_health=True)
     )
 
 

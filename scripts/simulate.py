@@ -3,7 +3,6 @@
 from collections.abc import Callable, Iterator
 import contextlib
 import json
-import logging
 from pathlib import Path
 import shlex
 import shutil
@@ -13,7 +12,6 @@ import sys
 import tempfile
 from typing import Annotated
 
-from pydrake.geometry import Meshcat, MeshcatParams
 from pydrake.systems.framework import Diagram
 from rich.console import Console
 from rich.progress import BarColumn, TextColumn, TimeElapsedColumn
@@ -28,6 +26,11 @@ from tofssm_drake.diagrams.scenario import (
     load_scenario,
 )
 from tofssm_drake.diagrams.simulation import Progress, Run
+from tofssm_drake.diagrams.viewer import (
+    RecordingOrder,
+    Viewer,
+    ViewerSettings,
+)
 from tofssm_drake.diagrams.workcell import Workcell, make_workcell
 from tofssm_drake.errors import UserError, require
 from tofssm_drake.laws.config import CONFIGURATIONS
@@ -42,10 +45,6 @@ from tofssm_drake.recording.samples import (
 )
 from tofssm_drake.reports.report import count_of, write_report
 import tofssm_drake.scripts.options as options
-from tofssm_drake.visualization.recording import (
-    start_recording,
-    write_recording,
-)
 
 _STILL_COMPILING = (
     "tofssm: the run ends when its kernels are loaded, or in the first run "
@@ -109,9 +108,17 @@ def simulate(
         duration=duration,
     )
     require_drawable(graphviz)
-    display = make_display() if meshcat or recording else None
+    viewer = None
+    if meshcat or recording:
+        viewer = Viewer(
+            ViewerSettings(
+                scenario=scenario, is_watched=meshcat, is_recorded=recording
+            )
+        )
     with options.blame(_blame_motion(scenario, human_motion)):
-        workcell = make_workcell(scenario, meshcat=display)
+        workcell = make_workcell(
+            scenario, prebuild=None if viewer is None else viewer.connect
+        )
     coverage = tell_self_hit_coverage(scenario)
     # All that a user can get wrong is checked by now; nothing is written
     # before.
@@ -120,37 +127,43 @@ def simulate(
         print(f"note: {line}", file=sys.stderr, flush=True)
     if graphviz:
         draw_diagram(workcell.diagram, graphviz)
-    if display is not None and meshcat:
-        print(f"watch at {display.web_url()}", flush=True)
-    if recording:
-        start_recording(display, live=meshcat)
-    try:
-        samples, progress = run(workcell, scenario, live=meshcat)
-    except KeyboardInterrupt:
-        raise KeyboardInterrupt(
-            "interrupted; nothing of this run was written"
-        ) from None
-    changes = {
-        "scenario-text": scenario_text or None,
-        "ssm": ssm and ssm.lower(),
-        "human-motion": human_motion,
-        "seed": seed,
-        "duration": None if duration is None else f"{duration:g} s",
-    }
-    samples.metadata |= {
-        "scenario_name": scenario_name,
-        "title": describe_run(scenario_name, changes),
-        "command": shlex.join(["tofssm", *sys.argv[1:]]),
-        "self_hit_coverage": coverage,
-    }
-    summary = summarize(scenario, samples, progress)
-    write_run(samples, summary, out, display=display if recording else None)
+    with viewer or contextlib.nullcontext():
+        samples, progress = _run_in_view(workcell, scenario, viewer, meshcat)
+        changes = {
+            "scenario-text": scenario_text or None,
+            "ssm": ssm and ssm.lower(),
+            "human-motion": human_motion,
+            "seed": seed,
+            "duration": None if duration is None else f"{duration:g} s",
+        }
+        samples.metadata |= {
+            "scenario_name": scenario_name,
+            "title": describe_run(scenario_name, changes),
+            "command": shlex.join(["tofssm", *sys.argv[1:]]),
+            "self_hit_coverage": coverage,
+        }
+        summary = summarize(scenario, samples, progress)
+        write_run(samples, summary, out, viewer=viewer if recording else None)
     tell(summary, out)
     return 130 if summary["interrupted"] else 0
 
 
+def _run_in_view(workcell, scenario, viewer, live):
+    """Runs a workcell; the viewer starts when all settings are checked."""
+    try:
+        if viewer is not None:
+            viewer.start()
+            if live:
+                viewer.wait_until_ready()
+        return run(workcell, scenario, live=live)
+    except KeyboardInterrupt:
+        raise KeyboardInterrupt(
+            "interrupted; nothing of this run was written"
+        ) from None
+
+
 def write_run(
-    samples: Samples, summary: dict, out: Path, *, display: Meshcat | None
+    samples: Samples, summary: dict, out: Path, *, viewer: Viewer | None
 ) -> None:
     """Writes all results of a run into a folder.
 
@@ -158,19 +171,24 @@ def write_run(
         samples: The run.
         summary: From `summarize`.
         out: The folder.
-        display: Where the run was recorded; None: no recording.
+        viewer: What has recorded the run; None: no recording.
     """
-    name = "recording.html" if display else None
     status = Console(stderr=True).status("writing the report")
     with tell_what_is_left(out), status:
-        write_results(samples, summary, out, recording=name)
-        if name is not None:
-            write_recording(
-                display,
-                out / name,
-                samples=samples,
-                title=f"tofssm_drake: {samples.metadata['title']}",
-            )
+        write_results(samples, summary, out, viewer=viewer)
+
+
+def _record(viewer, out, title):
+    """Lets a viewer write the recording; returns its name, None: none."""
+    name = "recording.html"
+    order = RecordingOrder(
+        folder=out.absolute(), name=name, title=f"tofssm_drake: {title}"
+    )
+    if viewer.record(order):
+        return name
+    # It may have ended between writing and saying so.
+    (out / name).unlink(missing_ok=True)
+    return None
 
 
 def describe_run(scenario_name: str, settings: dict) -> str:
@@ -252,20 +270,6 @@ def _choose(option, value, known):
         f"{option}: {value!r} is unknown, use one of {', '.join(known)}",
     )
     return value.lower()
-
-
-def make_display() -> Meshcat:
-    """Makes a Meshcat that only this machine can reach.
-
-    It does not write its address to stderr.
-    """
-    logger = logging.getLogger("drake")
-    level = logger.level
-    logger.setLevel(logging.WARNING)
-    try:
-        return Meshcat(MeshcatParams(host="localhost"))
-    finally:
-        logger.setLevel(level)
 
 
 def require_drawable(filename: Path | None) -> None:
@@ -476,7 +480,7 @@ def summarize(scenario: Scenario, samples: Samples, progress: Progress) -> dict:
 
 
 def write_results(
-    samples: Samples, summary: dict, out: Path, *, recording: str | None = None
+    samples: Samples, summary: dict, out: Path, *, viewer: Viewer | None = None
 ) -> None:
     """Writes summary, samples and report into a folder, each file whole.
 
@@ -486,12 +490,16 @@ def write_results(
         samples: The run.
         summary: From `summarize`.
         out: The folder.
-        recording: File name of the replay that the report links to.
+        viewer: What has recorded the run, and writes the replay to which the
+            report links; None: there is none.
     """
     clear_results(out)
     write_samples(samples, out)
     text = json.dumps(summary, indent=2, allow_nan=False) + "\n"
     write_atomically(out / "summary.json", lambda p: p.write_text(text))
+    recording = None
+    if viewer is not None:
+        recording = _record(viewer, out, samples.metadata["title"])
     write_report(samples, summary, out / "report.html", recording=recording)
 
 

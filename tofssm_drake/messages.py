@@ -2,7 +2,7 @@
 
 A message never changes: its arrays are read-only and a copy of it is the
 message itself, so that Drake's caches, logs and cloned Contexts cost nothing
-and cannot disagree.
+and cannot disagree. Another process gets an equal one, also read-only.
 
 `n` is the number of sensors of a ring, `m` the number of watched links.
 """
@@ -10,6 +10,7 @@ and cannot disagree.
 from collections.abc import Mapping
 import dataclasses as dc
 import enum
+import functools
 import types
 
 import numpy as np
@@ -130,6 +131,14 @@ class _Frozen:
 
     def __deepcopy__(self, memo):
         return self
+
+    def __reduce__(self):
+        # Pickle restores arrays that can be written, and no mapping proxies.
+        fields = {
+            name: dict(value) if isinstance(value, Mapping) else value
+            for name, value in vars(self).items()
+        }
+        return functools.partial(type(self), **fields), ()
 
     @classmethod
     def of_read_only(cls, **fields):
@@ -435,6 +444,34 @@ class SelfHitHealth(_Frozen):
     RIDING_HIT."""
     problem: tuple[str, ...]
     """What is wrong with each ring, in one line; empty: nothing."""
+
+
+@dc.dataclass(frozen=True, eq=False, kw_only=True)
+class Frame(_Frozen):
+    """All that a viewer needs in order to draw one instant of a run."""
+
+    time: float = 0.0
+    """Diagram's time, s."""
+    position_measured: np.ndarray = dc.field(
+        default_factory=lambda: np.empty(0)
+    )
+    """The robot's joints, rad or m, (j,)."""
+    carried_objects: np.ndarray = dc.field(default_factory=lambda: np.empty(0))
+    """Where the p objects are, see `CarriableObjects`, (p,)."""
+    decision: SpeedDecision = dc.field(
+        default_factory=lambda: SpeedDecision(name=())
+    )
+    """The law's."""
+    masked_scan: Mapping[str, MaskedScan] = dc.field(default_factory=dict)
+    """Newest scan of each ring, by name."""
+    health: Mapping[str, str] = dc.field(default_factory=dict)
+    """Words of `HealthBoard` by name; empty: there is no board."""
+
+    def __post_init__(self):
+        super().__post_init__()
+        for name in ("masked_scan", "health"):
+            values = types.MappingProxyType(dict(getattr(self, name)))
+            object.__setattr__(self, name, values)
 
 
 def make_empty_separation(name: tuple[str, ...]) -> Separation:

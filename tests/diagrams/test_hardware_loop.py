@@ -2,6 +2,7 @@
 
 import dataclasses as dc
 import itertools
+import sys
 import types
 import unittest
 from unittest import mock
@@ -17,6 +18,7 @@ from tofssm_drake.diagrams.hardware_loop import (
 )
 from tofssm_drake.diagrams.hardware_run import HardwareRun
 from tofssm_drake.diagrams.scenario import load_scenario
+from tofssm_drake.diagrams.viewer import Viewer, ViewerSettings
 from tofssm_drake.messages import (
     RingHealth,
     RingScan,
@@ -155,6 +157,59 @@ class TestRobot(unittest.TestCase):
         self.assertEqual(self.sent[-1].speed_fraction, 0.0)
         # The heartbeat stops, so that the robot's watchdog acts.
         self.assertEqual(self.sent[-1].heartbeat, self.sent[-2].heartbeat)
+
+
+class TestViewer(unittest.TestCase):
+    """What is shown of the robot, and that the loop does not wait for it."""
+
+    @classmethod
+    def setUpClass(cls):
+        cls.scenario = load_scenario(text="{people: {visitor: null}}")
+
+    def make_bench(self, show, sent):
+        loop = HardwareLoop(
+            scenario=self.scenario,
+            virtual_rings=True,
+            send=lambda command: sent.append(command) or True,
+            show=show,
+        )
+        return Bench(loop, self.scenario)
+
+    def test_frames_tell_pose_and_health(self):
+        frames = []
+        bench = self.make_bench(frames.append, [])
+        bench.run_until(1.5)
+        # None of the loop's warm-up; the first is before any result.
+        self.assertEqual(
+            [frame.time for frame in frames],
+            [i / 16 for i in range(len(frames))],
+        )
+        self.assertGreater(len(frames), 20)
+        self.assertEqual(dict(frames[0].health), {})
+        for frame in frames[1:]:
+            np.testing.assert_array_equal(
+                frame.position_measured, bench.position
+            )
+            self.assertEqual(list(frame.health), [*RINGS, "robot"])
+            self.assertEqual(set(frame.masked_scan), set(RINGS))
+        self.assertEqual(set(frames[-1].health.values()), {"OK"})
+        bench.changes = {"safety_mode": SafetyMode.PROTECTIVE_STOP}
+        bench.run_until(2.0)
+        self.assertEqual(frames[-1].health["robot"], "HELD")
+
+    def test_goes_on_with_a_viewer_that_takes_nothing(self):
+        without, with_viewer = [], []
+        self.make_bench(None, without).run_until(4.0)
+        settings = ViewerSettings(scenario=self.scenario, is_watched=True)
+        deaf = (sys.executable, "-c", "import time; time.sleep(100000)")
+        with Viewer(settings, command=deaf) as viewer:
+            viewer.start()
+            bench = self.make_bench(viewer.send, with_viewer)
+            # More frames than its queue and the pipe hold.
+            bench.run_until(4.0)
+        self.assertEqual(len(with_viewer), len(without))
+        for a, b in zip(with_viewer, without, strict=True):
+            self.assertEqual(a.speed_fraction, b.speed_fraction)
 
 
 class TestScans(unittest.TestCase):

@@ -22,6 +22,7 @@ from tofssm_drake.diagrams.monitor import make_monitor
 from tofssm_drake.diagrams.ring_world import make_ring_world
 from tofssm_drake.diagrams.scenario import load_scenario
 from tofssm_drake.diagrams.station import make_station
+from tofssm_drake.diagrams.viewer_process import make_viewer
 from tofssm_drake.diagrams.workcell import make_workcell
 from tofssm_drake.laws.sensing_problem import SensingProblem
 from tofssm_drake.laws.tri_ssm_law import TriSsm
@@ -52,6 +53,7 @@ from tofssm_drake.sensors.lidar_2d import (
     Lidar2dConfig,
     make_lidar_bundle,
 )
+from tofssm_drake.visualization.frames import FrameReader, FrameSender
 
 _MARKER = ".. pydrake_system::"
 
@@ -115,9 +117,8 @@ class TestSystemBlocks(unittest.TestCase):
     @classmethod
     def setUpClass(cls):
         cls.scenario = load_scenario()
-        cls.workcell = make_workcell(
-            cls.scenario, meshcat=Meshcat(MeshcatParams(host="localhost"))
-        )
+        cls.meshcat = Meshcat(MeshcatParams(host="localhost"))
+        cls.workcell = make_workcell(cls.scenario, meshcat=cls.meshcat)
 
     def check(self, system, docstring):
         block = read_block(docstring)
@@ -182,6 +183,8 @@ class TestSystemBlocks(unittest.TestCase):
             ),
             interface,
             RingSubscriberSystem(name=RINGS, connection=interface.connection),
+            FrameSender(send=print, num_joints=6, num_objects=0, rings=RINGS),
+            FrameReader(num_joints=6, num_objects=0, rings=RINGS),
         ]
 
     def test_every_public_system(self):
@@ -220,6 +223,7 @@ class TestSystemBlocks(unittest.TestCase):
                 ),
             ),
             (make_ring_world, make_ring_world(self.scenario)),
+            (make_viewer, make_viewer(self.scenario, self.meshcat)),
             (sim_arm.make_sim_arm, robot),
             (sim_arm.make_inverse_dynamics_controller, controller),
         ):

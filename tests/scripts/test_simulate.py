@@ -8,9 +8,11 @@ import subprocess
 import sys
 import time
 
+import attacks
 from bvh_writer import write_bvh
 import numpy as np
 from paper_cell import RINGS, change_rings
+import psutil
 import pytest
 
 import tofssm_drake.diagrams.simulation as simulation
@@ -558,6 +560,101 @@ class TestBadInput:
         assert done.stdout == ""
         assert len(done.stderr.splitlines()) == 1
         assert list_tree(tmp_path) == []
+
+
+def attack_once(monkeypatch, attack):
+    """Attacks the viewer of the next run after a while."""
+    advance, done = simulation.Run.advance, []
+
+    def advance_and_attack(self):
+        progress = advance(self)
+        if progress.time > 0.3 and not done:
+            done.append(attack(attacks.find_viewer()))
+        return progress
+
+    monkeypatch.setattr(simulation.Run, "advance", advance_and_attack)
+    return done
+
+
+class TestViewer:
+    """A dead viewer never ends a run."""
+
+    @pytest.mark.parametrize("attack", [attacks.kill, attacks.send_garbage])
+    @pytest.mark.parametrize("options", [(), ("--meshcat",)])
+    def test_run_goes_on_without_it(
+        self, attack, options, short_run, tmp_path, monkeypatch, capfd
+    ):
+        (tmp_path / "recording.html").write_text("of another run")
+        done = attack_once(monkeypatch, attack)
+        seeds = ("--seed", 5, "--ssm", "vr")
+        arguments = ("--duration", 1.0, *seeds, *options, "--out", tmp_path)
+        assert run(*arguments) == 0
+        assert len(done) == 1
+        _, samples = check_readable(tmp_path)
+        assert samples["t"][-1] == pytest.approx(1.0)
+        # It changes nothing.
+        expected = read_samples(short_run)
+        for name, values in expected.column.items():
+            np.testing.assert_array_equal(
+                samples[name][: len(expected)], values, name
+            )
+        captured = capfd.readouterr()
+        (line,) = [
+            line
+            for line in captured.err.splitlines()
+            if line.startswith("the viewer ended: ")
+        ]
+        assert line.endswith("; the run goes on, there is no recording")
+        assert "Traceback" not in captured.err
+        assert "recording.html" not in captured.out
+        report = (tmp_path / "report.html").read_text("utf-8")
+        assert 'href="recording.html' not in report
+
+    def test_the_run_itself_opens_no_port(self, tmp_path, monkeypatch):
+        def list_ports():
+            return {
+                c.laddr
+                for c in psutil.Process().net_connections()
+                if c.status == psutil.CONN_LISTEN
+            }
+
+        before = list_ports()
+
+        def compare(viewer):
+            assert attacks.wait_for_port(viewer)
+            return list_ports() - before
+
+        done = attack_once(monkeypatch, compare)
+        assert run("--duration", 0.6, "--out", tmp_path) == 0
+        assert done == [set()]
+        check_readable(tmp_path, files=FILES | {"recording.html"})
+
+    def test_a_recording_that_cannot_be_written(
+        self, tmp_path, monkeypatch, capfd
+    ):
+        """The samples that it needs are gone."""
+        monkeypatch.setattr(simulate, "write_samples", lambda *_: None)
+        assert run("--duration", 0.4, "--out", tmp_path) == 0
+        error = capfd.readouterr().err
+        assert "there is no recording" in error
+        assert {p.name for p in tmp_path.iterdir()} == {
+            "summary.json",
+            "report.html",
+        }
+
+    def test_ctrl_c_is_for_the_run(self, tmp_path, monkeypatch, capfd):
+        """A terminal sends it to the viewer's group as well, if it is in it."""
+
+        def interrupt(viewer):
+            assert os.getpgid(viewer.pid) != os.getpgid(0)
+            os.kill(os.getpid(), signal.SIGINT)
+            return viewer
+
+        done = attack_once(monkeypatch, interrupt)
+        assert run("--out", tmp_path) == 130
+        check_readable(tmp_path, files=FILES | {"recording.html"})
+        assert "the viewer ended" not in capfd.readouterr().err
+        assert not done[0].is_running()
 
 
 class TestInterruption:

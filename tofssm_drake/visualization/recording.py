@@ -2,11 +2,12 @@
 
 import html
 import importlib.resources
+import logging
 from pathlib import Path
 
 import jinja2
 import numpy as np
-from pydrake.geometry import Meshcat
+from pydrake.geometry import Meshcat, MeshcatParams
 
 from tofssm_drake.messages import RobotState
 from tofssm_drake.recording.samples import Samples, write_atomically
@@ -15,6 +16,20 @@ from tofssm_drake.visualization import palette
 
 FPS = 16.0
 """Frames per second of a recording; the player interpolates between them."""
+
+
+def make_display() -> Meshcat:
+    """Makes a Meshcat that only this machine can reach.
+
+    It does not write its address to stderr.
+    """
+    logger = logging.getLogger("drake")
+    level = logger.level
+    logger.setLevel(logging.WARNING)
+    try:
+        return Meshcat(MeshcatParams(host="localhost"))
+    finally:
+        logger.setLevel(level)
 
 
 def set_scene(meshcat: Meshcat) -> None:
