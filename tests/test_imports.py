@@ -177,6 +177,7 @@ class TestLoading(unittest.TestCase):
             ("robots", ("matplotlib", "mcap", "pyarrow", "serial")),
             ("sensors", ("matplotlib", "mcap", "pyarrow", "serial")),
             ("tasks", ("matplotlib", "mcap", "pyarrow", "serial")),
+            ("visualization", ("matplotlib", "mcap", "serial")),
         ):
             with self.subTest(room):
                 program = (

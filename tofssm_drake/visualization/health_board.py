@@ -5,7 +5,7 @@ from pydrake.geometry import Box, Meshcat, Rgba
 from pydrake.math import RigidTransform
 
 from tofssm_drake.messages import RobotState
-from tofssm_drake.visualization import palette
+import tofssm_drake.visualization.palette as palette
 from tofssm_drake.visualization.sign import BOARD, make_sign
 
 OK, HELD, BLIND, FAULT = "OK", "HELD", "BLIND", "FAULT"

@@ -4,7 +4,7 @@ import numpy as np
 from pydrake.geometry import Cylinder, Meshcat, Rgba
 from pydrake.math import RigidTransform
 
-from tofssm_drake.visualization import palette
+import tofssm_drake.visualization.palette as palette
 
 _HOUSING = Rgba(0.15, 0.16, 0.18, 1.0)
 _FIELD_OPACITY = 0.12

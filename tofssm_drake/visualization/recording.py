@@ -12,7 +12,7 @@ from pydrake.geometry import Meshcat, MeshcatParams
 from tofssm_drake.messages import RobotState
 from tofssm_drake.recording.samples import Samples, write_atomically
 from tofssm_drake.recording.spans import find_spans
-from tofssm_drake.visualization import palette
+import tofssm_drake.visualization.palette as palette
 
 FPS = 16.0
 """Frames per second of a recording; the player interpolates between them."""

@@ -9,8 +9,8 @@ from pydrake.systems.framework import LeafSystem
 
 from tofssm_drake.arms.kinematics import ArmKinematics
 from tofssm_drake.messages import MaskedScan, Reading
-from tofssm_drake.visualization import palette
 from tofssm_drake.visualization.animated import AnimatedProperty
+import tofssm_drake.visualization.palette as palette
 
 LOOKS = {
     Reading.CLEAR: "clear",

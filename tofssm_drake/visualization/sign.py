@@ -2,7 +2,6 @@
 
 import io
 
-from matplotlib.figure import Figure
 from pydrake.common import MemoryFile
 from pydrake.geometry import InMemoryMesh, Mesh, Rgba
 
@@ -52,6 +51,9 @@ def make_sign(
 
 def _draw_text(text, aspect, rgba, align):
     """Returns a PNG file's content, one inch high."""
+    # Takes long to load; not everybody who draws writes.
+    from matplotlib.figure import Figure
+
     figure = Figure(figsize=(aspect, 1.0), facecolor=_to_tuple(BOARD))
     figure.text(
         {"left": 0.0, "center": 0.5, "right": 1.0}[align],

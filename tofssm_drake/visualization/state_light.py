@@ -7,8 +7,8 @@ from pydrake.math import RigidTransform, RollPitchYaw
 from pydrake.systems.framework import LeafSystem
 
 from tofssm_drake.messages import RobotState, make_empty_decision
-from tofssm_drake.visualization import palette
 from tofssm_drake.visualization.animated import AnimatedProperty
+import tofssm_drake.visualization.palette as palette
 from tofssm_drake.visualization.sign import BOARD, make_sign
 
 
