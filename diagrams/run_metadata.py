@@ -52,6 +52,11 @@ def make_run_metadata(
         "scenario": describe_scenario(scenario),
         "law": describe_law(scenario.law),
         "sensing": describe_sensing(scenario),
+        "link_kinds": {
+            link: _KIND.get(type(sensor), "")
+            for name, sensor in scenario.sensors.items()
+            for link in sensor.find_link_frames(name)
+        },
         "seed": scenario.random_seed,
         "human": ", ".join(
             f"{name} ({type(person).__name__})"

@@ -254,3 +254,21 @@ class TestCloseup(unittest.TestCase):
         time, what = mut.find_closeup(events, find_contacts(run))
         self.assertAlmostEqual(time, 5.0)
         self.assertEqual(what, "the contact at 5.00 s")
+
+
+def test_links_of_a_mixed_cell_are_told_by_kind():
+    run = make_run(1.0)
+    first, *others = run.rings
+    run.metadata["sensing"] = "mixed"
+    run.metadata["link_kinds"] = {first: "rings"} | dict.fromkeys(
+        others, "planar lidar"
+    )
+    run.scan = {first: run.scan[first]}
+    figure = mut.make_rings(run)
+    titles = [ax.get_title(loc="left") for ax in figure.axes]
+    assert [title for title in titles if title] == [
+        f"{first} ring",
+        *(f"{link} (planar lidar)" for link in others),
+    ]
+    # A strip of readings below the ring only, and the colour bar.
+    assert len(figure.axes) == len(run.rings) + 2

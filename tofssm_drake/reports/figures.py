@@ -139,6 +139,12 @@ _WATCHER = {
     "mixed": "the sensors",
 }
 _NOUN = {"rings": "ring", "motion capture": "link"}
+# What follows a link's name where there are sensors of several kinds.
+_SUFFIX = {
+    "rings": " ring",
+    "motion capture": " (motion capture)",
+    "planar lidar": " (planar lidar)",
+}
 
 
 def get_watcher(samples: Samples) -> str:
@@ -148,8 +154,11 @@ def get_watcher(samples: Samples) -> str:
 
 def name_link(samples: Samples, link: str) -> str:
     """Returns the name of one of the watched links, e.g. "base ring"."""
-    noun = _NOUN.get(samples.metadata.get("sensing", "rings"), "")
-    return f"{link} {noun}".strip()
+    sensing = samples.metadata.get("sensing", "rings")
+    if sensing == "mixed":
+        kind = samples.metadata.get("link_kinds", {}).get(link, "")
+        return link + _SUFFIX.get(kind, "")
+    return f"{link} {_NOUN.get(sensing, '')}".strip()
 
 
 def _finite(values):
@@ -796,29 +805,24 @@ def make_rings(samples: Samples, *, narrow: bool = False) -> Figure:
     """
     rings = samples.rings
     t = samples["t"]
-    sensing = samples.metadata.get("sensing", "rings")
-    strips = 2 if sensing in ("rings", "mixed") else 1
+    is_all_rings = samples.metadata.get("sensing", "rings") == "rings"
+    has_scans = [is_all_rings or ring in samples.scan for ring in rings]
     with matplotlib.rc_context(STYLE):
         figure = Figure(
-            figsize=_size_rings(len(rings), strips, narrow),
+            figsize=_size_rings(has_scans, narrow),
             layout=ConstrainedLayoutEngine(h_pad=0.02, hspace=0.0),
         )
+        heights = [h for has in has_scans for h in [1.25, 1.0][: 1 + has]]
         axes = figure.subplots(
-            strips * len(rings),
-            1,
-            sharex=True,
-            height_ratios=[1.25, 1.0][:strips] * len(rings),
-            squeeze=False,
+            len(heights), 1, sharex=True, height_ratios=heights, squeeze=False
         )[:, 0]
         image = None
+        strips = iter(axes)
         for i, ring in enumerate(rings):
             columns = 0 if i else 2 if narrow else 4
-            ax = axes[strips * i]
-            _draw_ring_distance(ax, samples, ring, columns, narrow)
-            if ring in samples.scan or sensing == "rings":
-                image = _draw_readings(axes[2 * i + 1], samples, ring) or image
-            elif strips == 2:
-                axes[2 * i + 1].set_axis_off()
+            _draw_ring_distance(next(strips), samples, ring, columns, narrow)
+            if has_scans[i]:
+                image = _draw_readings(next(strips), samples, ring) or image
         axes[0].set_xlim(t[0], max(t[-1], t[0] + 1e-3))
         axes[-1].set_xlabel("time (s)")
         if image is not None:
@@ -850,10 +854,13 @@ def _add_reading_legend(figure, axes, image):
     )
 
 
-def _size_rings(rings, strips, narrow):
-    if strips == 1:
-        return (4.3, 1.0 + 2.3 * rings) if narrow else (10.6, 0.8 + 2.2 * rings)
-    return (4.3, 3.4 * rings) if narrow else (10.6, 3.1 * rings)
+def _size_rings(has_scans, narrow):
+    """Returns width and height of links with and without a second strip."""
+    if not any(has_scans):
+        n = len(has_scans)
+        return (4.3, 1.0 + 2.3 * n) if narrow else (10.6, 0.8 + 2.2 * n)
+    heights = (2.0, 3.4) if narrow else (1.8, 3.1)
+    return (4.3 if narrow else 10.6, sum(heights[has] for has in has_scans))
 
 
 def _draw_ring_distance(ax, samples, ring, columns, narrow):
