@@ -91,12 +91,14 @@ def watch(processes: dict[str, subprocess.Popen], duration: float) -> None:
     *_, main = processes.values()
     uses: dict[str, list[Use]] = {name: [] for name in processes}
     interval = min(_INTERVAL, duration / 20.0)
-    while main.poll() is None:
+    said = None
+    while said is None:
         for name, process in processes.items():
             with contextlib.suppress(psutil.Error):
                 uses[name].append(look_at(psutil.Process(process.pid)))
         with contextlib.suppress(subprocess.TimeoutExpired):
-            main.communicate(timeout=interval)
+            said, _ = main.communicate(timeout=interval)
+    print(*said.decode().splitlines()[-3:], sep="\n")
     for name, seen in uses.items():
         print(describe(name, seen), flush=True)
 
