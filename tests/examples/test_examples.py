@@ -116,7 +116,8 @@ def test_rings_and_lidar_stop_for_a_person():
 def test_my_person():
     samples, _ = run("my_person.yaml", "Sway", "{simulation_duration: 2.0}")
     assert np.ptp(samples["person_y"]) == pytest.approx(0.5, abs=0.02)
-    assert samples["person_x"].mean() == pytest.approx(1.3, abs=0.05)
+    # The landmarks' mean is there; the pelvis is a little behind it.
+    assert samples["person_x"].mean() == pytest.approx(1.24, abs=0.01)
 
 
 def test_publish_fraction():
