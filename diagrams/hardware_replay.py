@@ -3,13 +3,15 @@
 import dataclasses as dc
 import json
 
+import numpy as np
 import yaml
 
+from tofssm_drake.arms.kinematics import ArmKinematics
 from tofssm_drake.diagrams.hardware_loop import HardwareLoop, TickInput
 from tofssm_drake.diagrams.hardware_run import describe_state
 from tofssm_drake.diagrams.hardware_station import make_slider_config
 from tofssm_drake.diagrams.scenario import Scenario, change_scenario
-from tofssm_drake.errors import UserError
+from tofssm_drake.errors import UserError, require
 from tofssm_drake.recording.run_record import RunReader, encode_json
 from tofssm_drake.rtde.arm_obedience import ArmConfig
 
@@ -39,7 +41,8 @@ def replay_record(reader: RunReader) -> ReplayResult:
         reader: Reads the record.
 
     Raises:
-        UserError: The record's scenario cannot be used here.
+        UserError: The record's scenario cannot be used here, or a tick is of
+            another robot or of other rings than the scenario's.
     """
     try:
         loop = _make_loop(reader.run)
@@ -49,15 +52,10 @@ def replay_record(reader: RunReader) -> ReplayResult:
         ) from None
     ticks = differences = 0
     first, end_time = "", 0.0
+    plant = loop.workcell.station.plant
+    num_joints = ArmKinematics.from_plant(plant).num_joints
     for tick in reader.read_ticks():
-        result = loop.tick(
-            TickInput(
-                time=tick.time,
-                report=tick.report,
-                scans=tick.scans,
-                clock_offset=tick.clock_offset,
-            )
-        )
+        result = _replay_tick(loop, tick, num_joints)
         ticks += 1
         end_time = tick.time
         # As it would have been written: a number that is none is null.
@@ -79,6 +77,51 @@ def replay_record(reader: RunReader) -> ReplayResult:
     return ReplayResult(
         ticks=ticks, end_time=end_time, differences=differences, first=first
     )
+
+
+def _replay_tick(loop, tick, num_joints):
+    """Runs the monitor on a tick.
+
+    Raises:
+        UserError: It is of another robot or of other rings.
+    """
+    where = f"the record: tick at {tick.time:.3f} s"
+    _check_report(tick.report, num_joints, where)
+    try:
+        return loop.tick(
+            TickInput(
+                time=tick.time,
+                report=tick.report,
+                scans=tick.scans,
+                clock_offset=tick.clock_offset,
+            )
+        )
+    except (
+        AttributeError,
+        LookupError,
+        RuntimeError,
+        TypeError,
+        ValueError,
+    ) as error:
+        raise UserError(
+            f"{where}: it does not fit the scenario: {error}"
+        ) from None
+
+
+def _check_report(report, num_joints, where):
+    """Raises UserError if a report is of a robot with other joints."""
+    joints = ("position", "velocity", "acceleration_commanded")
+    sizes = dict.fromkeys(joints, num_joints)
+    sizes |= dict.fromkeys(("tcp_pose", "tcp_velocity", "tcp_offset"), 6)
+    for name, size in sizes.items():
+        values = getattr(report, name)
+        # What was not sent may have another size.
+        is_unknown = values.size > 0 and np.isnan(values).all()
+        require(
+            is_unknown or values.shape == (size,),
+            f"{where}: {name} has {values.size} numbers, of the scenario's "
+            f"robot {size}",
+        )
 
 
 def _name_command(command):

@@ -26,6 +26,8 @@ _PERIOD = 0.2
 _SETTLE = 1.0
 # Longest wait for a blocked terminal at the end, s.
 _FAREWELL = 1.0
+# Between two lines about datagrams that are ignored, s.
+_STRANGERS = 60.0
 # Most lines that wait for a blocked terminal.
 _WAITING = 100
 
@@ -61,6 +63,8 @@ class HardwareStatus:
         self._result: TickResult | None = None
         self._missed = robot.get_report().missed
         self._problems = {"robot": "", "rings": ""}
+        self._strangers = ""
+        self._strangers_told = -math.inf
         self._done = threading.Event()
         self._thread = threading.Thread(
             target=self._run, name="status", daemon=True
@@ -104,6 +108,7 @@ class HardwareStatus:
             self._find_problem("robot", problem)
             if rings is not None:
                 self._find_problem("rings", rings.error)
+                self._find_strangers(rings)
         is_terminal = self._stream.isatty()
         text = ""
         while self._lines:
@@ -136,6 +141,27 @@ class HardwareStatus:
         if problem != self._problems[who]:
             self._problems[who] = problem
             self._lines.append(f"{who}: {problem or 'all is well again'}")
+
+    def _find_strangers(self, rings):
+        """Tells what came that is not of the rings, once a minute at most."""
+        now = time.monotonic()
+        counts = describe_strangers(rings)
+        if (
+            counts != self._strangers
+            and now - self._strangers_told > _STRANGERS
+        ):
+            self._strangers, self._strangers_told = counts, now
+            self._lines.append(f"rings: ignored so far: {counts}")
+
+
+def describe_strangers(rings: RingLinkStatus) -> str:
+    """Says what came that is not of the rings; empty: nothing."""
+    counts = {
+        "frames of unknown rings": rings.unknown,
+        "datagrams of other senders": rings.foreign,
+        "damaged frames": rings.corrupt,
+    }
+    return ", ".join(f"{n} {name}" for name, n in counts.items() if n)
 
 
 class Changes:

@@ -107,3 +107,19 @@ def test_mjcf_with_a_folder_of_meshes(tmp_path):
     )
     with pytest.raises(UserError, match=r"m\.obj: line 4"):
         add_arm_file(MultibodyPlant(0.0), str(path))
+
+
+def test_entities_in_a_model(tmp_path):
+    """A thousand million laughs, and another file's contents."""
+    names = "".join(
+        f'<!ENTITY a{i} "{10 * f"&a{i - 1};"}">' for i in range(1, 11)
+    )
+    for first in ('"aaa"', 'SYSTEM "/etc/passwd"'):
+        path = tmp_path / "arm.urdf"
+        path.write_text(
+            f"<!DOCTYPE robot [<!ENTITY a0 {first}>{names}]>"
+            '<robot name="&a10;"><link name="base"/></robot>'
+        )
+        with pytest.raises(UserError, match=r"arm\.urdf") as info:
+            add_arm_file(MultibodyPlant(0.0), str(path))
+        assert "\n" not in str(info.value)

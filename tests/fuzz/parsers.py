@@ -7,20 +7,34 @@ harm.
 
 import base64
 from collections.abc import Callable
+import io
 import json
 from pathlib import Path
+import struct
 import tempfile
 
 from bvh_writer import write_bvh
+from mcap.reader import make_reader
+from mcap.writer import CompressionType, IndexType, Writer
 import numpy as np
 
-from tofssm_drake.diagrams.scenario import change_scenario, load_scenario
+from tofssm_drake.diagrams.scenario import (
+    Scenario,
+    change_scenario,
+    dump_scenario,
+    load_scenario,
+)
 from tofssm_drake.errors import UserError
+from tofssm_drake.messages import RingScan, RobotReport, SliderCommand
 from tofssm_drake.people.bvh_file import read_bvh
 from tofssm_drake.raycast.gltf_file import read_gltf
 from tofssm_drake.raycast.obj_file import read_obj
 from tofssm_drake.raycast.vtk_file import check_vtk
-from tofssm_drake.recording.run_record import RunReader, RunRecorder
+from tofssm_drake.recording.run_record import (
+    RecordedTick,
+    RunReader,
+    RunRecorder,
+)
 from tofssm_drake.ringlink.ring_frame import (
     FrameError,
     FrameStream,
@@ -47,6 +61,15 @@ _VTK = (
     b"POINTS 4 double\n0 0 0 1 0 0 0 1 0 0 0 1\n"
     b"CELLS 1 5\n4 0 1 2 3\nCELL_TYPES 1\n10\n"
 )
+_BINARY_VTK = (
+    _VTK[: _VTK.index(b"0 0 0")].replace(b"ASCII", b"BINARY")
+    + np.array([0, 0, 0, 1, 0, 0, 0, 1, 0, 0, 0, 1], ">f8").tobytes()
+    + b"\nCELLS 1 5\n"
+    + np.array([4, 0, 1, 2, 3], ">i4").tobytes()
+    + b"\nCELL_TYPES 1\n"
+    + np.array([10], ">i4").tobytes()
+)
+_MCAP = b"\x89MCAP0\r\n"
 _DEFAULT = load_scenario()
 
 
@@ -99,9 +122,14 @@ def _decode_package(kind, payload, recipe):
 def read_scenario(data: bytes) -> None:
     text = data.decode("utf-8", errors="replace")
     try:
-        change_scenario(_DEFAULT, text, source="text")
+        scenario = change_scenario(_DEFAULT, text, source="text")
     except UserError as error:
         assert "\n" not in str(error)
+        return
+    # What is accepted is as it is written, and accepted again.
+    values = dump_scenario(scenario)
+    again = change_scenario(Scenario(), json.dumps(values), source="text")
+    assert dump_scenario(again) == values
 
 
 def read_recording(data: bytes) -> None:
@@ -153,6 +181,7 @@ def read_record(data: bytes) -> None:
             return
     times = [tick.time for tick in ticks]
     assert times == sorted(times)
+    assert np.isfinite(times).all()
 
 
 PARSERS: dict[str, Callable[[bytes], None]] = {
@@ -190,12 +219,68 @@ def make_gltf(uri: str) -> bytes:
 
 
 def _make_record():
+    """Returns a record of two ticks, without what its reader skips."""
     run = {"links": ["a"], "law": {"states": ["stop"], "signals": {}}}
+    scan = RingScan(
+        sequence=1,
+        sensor_time=np.zeros(1),
+        distance=np.ones(1),
+        status=np.zeros(1, np.uint8),
+    )
+    small = io.BytesIO()
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "run.mcap"
         with RunRecorder(path, run) as recorder:
-            recorder.add_ring_bytes(0.0, "udp", b"frame")
-        return path.read_bytes()
+            recorder.add_tick(_make_tick(0.0, scan))
+            recorder.add_tick(_make_tick(0.008, scan))
+        _copy_messages(path.read_bytes(), small, ("/run", "/tick"))
+    return small.getvalue()
+
+
+def _make_tick(time, scan):
+    return RecordedTick(
+        time=time,
+        clock_offset=0.0,
+        report=RobotReport(sequence=1, time=time),
+        scans=(scan,),
+        command=SliderCommand(),
+        state={
+            "robot_state": 0,
+            "ring_states": [0],
+            "distance": [1.0],
+            "speed_fraction": 0.0,
+            "reason": "",
+            "problem": [""],
+            "sample_time": [0.0],
+            "deciding_link": "a",
+            "slider_reason": "",
+            "slider_phase": 0,
+            "signals": {},
+            "target": 0.0,
+        },
+        busy=0.001,
+    )
+
+
+def _copy_messages(record, to, topics):
+    writer = Writer(
+        to,
+        compression=CompressionType.NONE,
+        index_types=IndexType.NONE,
+        use_chunking=False,
+        repeat_channels=False,
+        use_statistics=False,
+        use_summary_offsets=False,
+        enable_data_crcs=False,
+    )
+    writer.start(library="tofssm_drake")
+    channels = {
+        topic: writer.register_channel(topic, "json", 0) for topic in topics
+    }
+    reader = make_reader(io.BytesIO(record))
+    for _, channel, message in reader.iter_messages(topics):
+        writer.add_message(channels[channel.topic], 0, message.data, 0)
+    writer.finish()
 
 
 def _make_bvh():
@@ -211,6 +296,8 @@ _DATA = (
         np.array([0, 0, 0, 1, 0, 0, 0, 1, 0], np.float32).tobytes()
     ).decode()
 )
+
+_RECORD = _make_record()
 
 SEEDS: dict[str, list[bytes]] = {
     "ring_frame": [encode_frame(_FRAME)],
@@ -249,6 +336,15 @@ SEEDS: dict[str, list[bytes]] = {
         _VTK.replace(b"1 2 3\nCELL_", b"1 2 99\nCELL_"),
         _VTK[: _VTK.index(b" 1 5")],
         _VTK.replace(b"CELLS 1 5", b"CELLS 1 99999999999"),
+        _BINARY_VTK,
+        _BINARY_VTK.replace(b"POINTS 4", b"POINTS 1000000000"),
+        _BINARY_VTK[:-20],
     ],
-    "record": [_make_record()],
+    "record": [
+        _RECORD,
+        # The name of its library has 738 MB.
+        _RECORD.replace(b"\x0c\0\0\0tof", b"\x0c\0\0\x2ctof", 1),
+        # A message that is shorter than its own numbers.
+        _MCAP + b"\5" + struct.pack("<Q", 1) + bytes(100),
+    ],
 }

@@ -174,6 +174,17 @@ def make_binary_vtk(corner):
     )
 
 
+def make_entities(first):
+    """COLLADA with a name for a text or a file, and names for many of it."""
+    names = f"<!ENTITY a0 {first}>" + "".join(
+        f'<!ENTITY a{i} "{10 * f"&a{i - 1};"}">' for i in range(1, 11)
+    )
+    return (
+        f'<?xml version="1.0"?>\n<!DOCTYPE x [{names}]>\n'
+        "<COLLADA><asset>&a10;</asset></COLLADA>"
+    )
+
+
 def make_stl(vertices):
     """A cube in binary STL."""
     records = np.zeros(
@@ -582,8 +593,8 @@ class TestReadMesh(unittest.TestCase):
             (make_vtk(point="1 1 x"), "cannot be read"),
             (make_vtk_5([1, 2, 3, 5]), "corner 5, which is not one of its 5"),
             (make_vtk_5([1, 2, 3, -1]), "corner -1, which is not one of its 5"),
-            (make_binary_vtk(9), "(not as its format demands|cannot be read)"),
-            (make_binary_vtk(-1), "(not as its format demands|cannot be read)"),
+            (make_binary_vtk(9), "corner 9, which is not one of its 4 points"),
+            (make_binary_vtk(-1), "corner -1, which is not one of its 4"),
         ):
             with (
                 self.subTest(message=message),
@@ -593,6 +604,37 @@ class TestReadMesh(unittest.TestCase):
             ):
                 mut.read_mesh(make_mesh(text, ".vtk"), "horn")
         mut.read_mesh(make_mesh(make_binary_vtk(3), ".vtk"), "horn")
+
+    def test_files_of_tetrahedra_are_read_whole_or_not_at_all(self):
+        """Drake's reader takes the memory for any number of items."""
+        good, text = make_binary_vtk(3), make_vtk()
+        for contents, message in (
+            (good.replace(b"S 4", b"S 1000000000"), "byte 69: 1000000000 it"),
+            (good.replace(b"S 4", b"S 40"), "byte 72: it ends too early, bef"),
+            (good.replace(b"S 1 5", b"S 9 5"), "byte 183: cell 1 is not whole"),
+            (good[:180], "byte 180: must be a number of items"),
+            (good[:-9], "byte 206: must be CELL_TYPES, got 'cell_"),
+            (good + b"POINTS 9", "byte 224: must end after the cells' types"),
+            (good[:60], "byte 44: must be UNSTRUCTURED_GRID, got"),
+            (b"x" + good, "line 1: it does not begin like a legacy VTK file"),
+            (text.replace("S 5", "S 1000000000"), "line 5: 1000000000 items"),
+            (text.replace("CELLS 2", "CELLS 3"), "line 7: cell 2 is not whole"),
+            (text.replace("10\n10", "10"), "line 10: it ends too early"),
+            (text + "CELL_DATA 2", "line 13: must end after the cells' types"),
+            (text.replace("4 1 2", "3.5 1 2"), "line 9: '3.5' is not a num"),
+            (
+                make_vtk("3 1 2 4").replace("S 2 10", "S 2 9"),
+                "a tetrahedron must have four corners",
+            ),
+            (make_vtk_5([1, 2]), "line 12: 'CELL_TYPES' is not a number"),
+        ):
+            with (
+                self.subTest(message=message),
+                self.assertRaisesRegex(
+                    UserError, f"mesh 'memory' cannot be read: .*{message}"
+                ),
+            ):
+                mut.read_mesh(make_mesh(contents, ".vtk"), "horn")
 
     def test_bad_vertices_and_corners_are_named(self):
         """In formats whose readers would drop or change them silently."""
@@ -652,6 +694,11 @@ class TestReadMesh(unittest.TestCase):
             ("solid x\nfacet", ".stl", "cannot be read"),
             ("", ".stl", "cannot be read"),
             ("\0" * 83, ".stl", "cannot be read"),
+            (b"\xff" * 134, ".stl", ".*byte 80: 4294967295 triangles take"),
+            (make_stl(CUBE_VERTICES)[:-50], ".stl", ".*byte 80: 12 triangles"),
+            (make_stl(CUBE_VERTICES) + b"x", ".stl", ".*byte 80: 12 triangle"),
+            (make_entities('"aaa"'), ".dae", ".*line 2: it has a DOCTYPE"),
+            (make_entities('SYSTEM "/dev/zero"'), ".dae", ".*line 2: it has"),
             ("<COLLADA", ".dae", "cannot be read"),
             (good.replace("#positions", "#lost"), ".dae", "cannot be read"),
             (good[:-900], ".dae", "cannot be read"),

@@ -417,6 +417,21 @@ class TestRunRecord(unittest.TestCase):
         with self.assertRaisesRegex(UserError, "not a record"):
             mut.RunReader(self.path)
 
+    def test_sizes_that_no_part_has_are_not_read(self):
+        """Else the reader asks for gigabytes, or for all that follows."""
+        self.write()
+        data = self.path.read_bytes()
+        library = b"\x0c\0\0\0tofssm_drake"
+        self.assertIn(library, data)
+        message = b"\x89MCAP0\r\n\5\1" + bytes(100)
+        for contents in (
+            data.replace(library, b"\xff\xff\xff\xfftofssm_drake", 1),
+            message,
+        ):
+            self.path.write_bytes(contents)
+            with self.assertRaisesRegex(UserError, "is not a record"):
+                mut.RunReader(self.path)
+
     def test_values_nested_too_deep(self):
         self.write(1)
         data = self.path.read_bytes()

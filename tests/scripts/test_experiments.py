@@ -12,6 +12,7 @@ import time
 from bvh_writer import write_bvh
 from cluster_in_process import connect_in_process
 from distributed import Client
+import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
@@ -20,6 +21,7 @@ from tofssm_drake.diagrams.scenario import load_scenario
 from tofssm_drake.paper import campaign_figures, campaign_report
 from tofssm_drake.paper.cells import list_variants, make_plan
 from tofssm_drake.recording.samples import read_samples
+from tofssm_drake.recording.tables import write_table
 import tofssm_drake.scripts.campaign as mut
 import tofssm_drake.scripts.main as main
 import tofssm_drake.scripts.paper_experiment as paper_experiment
@@ -195,6 +197,8 @@ class TestGoingOn:
         run = out / "runs" / "lidar-vo-1"
         for spoil in (
             lambda path: path.write_bytes(b"half"),
+            # Of something else.
+            lambda path: write_table(pa.table({"t": [0.0]}), path),
             lambda path: path.unlink(),
         ):
             spoil(run / "samples.parquet")

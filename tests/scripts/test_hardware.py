@@ -260,6 +260,7 @@ class TestHardware(unittest.TestCase):
         path.write_bytes(data)
         self.check_missing_results(RunReader(path))
         self.check_missing_settings(RunReader(path))
+        self.check_other_robots(RunReader(path))
 
     def check_missing_results(self, reader):
         """A result that is not there is a difference, of any version."""
@@ -286,6 +287,27 @@ class TestHardware(unittest.TestCase):
                 with self.assertRaisesRegex(UserError, f"record: .*{name}"):
                     replay_record(reader)
                 reader.run[name] = value
+
+    def check_other_robots(self, reader):
+        """A tick that is not of the scenario's robot and rings is refused."""
+        tick = next(reader.read_ticks())
+        seven = dc.replace(tick.report, position=np.zeros(7))
+        none = dc.replace(tick.report, velocity=np.zeros(0))
+        place = dc.replace(tick.report, tcp_pose=np.zeros(3))
+        word = dc.replace(tick.report, target_speed_fraction="much")
+        for report, message in (
+            (seven, "position has 7 numbers, of the scenario's robot 6"),
+            (none, "velocity has 0 numbers, of the scenario's robot 6"),
+            (place, "tcp_pose has 3 numbers, of the scenario's robot 6"),
+            (word, "it does not fit the scenario"),
+        ):
+            cut = [dc.replace(tick, report=report)]
+            with (
+                self.subTest(message=message),
+                mock.patch.object(reader, "read_ticks", lambda cut=cut: cut),
+                self.assertRaisesRegex(UserError, f"tick at 0.*: {message}"),
+            ):
+                replay_record(reader)
 
     def test_dry_run_writes_nothing(self):
         path = self.folder / "run.mcap"

@@ -15,10 +15,15 @@ import unittest
 
 from cell_process import PATIENT, CellProcess, Program
 from mcap.reader import make_reader
+import numpy as np
 import pytest
+from ring_flood import flood
 
-from tofssm_drake.messages import RobotState
+from tofssm_drake.messages import RingScan, RobotState
 from tofssm_drake.recording.run_record import RunReader
+from tofssm_drake.ringlink.ring_address import parse_ring_address
+from tofssm_drake.ringlink.ring_device import make_frame
+from tofssm_drake.ringlink.ring_frame import encode_frame, peek_ring
 from tofssm_drake.robots.robot_modes import RuntimeState
 from tofssm_drake.rtde.rtde_fields import (
     ECHOED_TYPES,
@@ -91,6 +96,36 @@ class TestRings(unittest.TestCase):
             self.assertEqual(
                 seen.reports[-1].runtime_state, RuntimeState.STOPPED
             )
+
+    def test_flood(self):
+        """Valid frames of a ring that the scenario does not know."""
+        scan = RingScan(
+            sequence=0,
+            time=0.0,
+            sensor_time=np.zeros(8),
+            distance=np.ones(8),
+            status=np.zeros(8, np.uint8),
+        )
+        frame = encode_frame(make_frame(scan, ring=99, timing_budget=0.0))
+        with (
+            tempfile.TemporaryDirectory() as folder,
+            CellProcess("udp") as cell,
+        ):
+            path = Path(folder) / "run.mcap"
+            runner = cell.start_runner("--record", path, main=PATIENT)
+            cell.wait_for_full_speed(runner)
+            address = parse_ring_address(cell.address)
+            with flood(address, frame):
+                runner.wait_for(r"ignored so far: \d+ frames of unknown rings")
+                start = time.monotonic()
+                cell.watcher.wait_for(lambda r: r.time > start + 2.0)
+                cell.wait_for_full_speed(runner)
+            runner.process.send_signal(signal.SIGTERM)
+            self.assertEqual(runner.process.wait(120.0), 130, runner.err)
+            with path.open("rb") as file:
+                messages = make_reader(file).iter_messages("/rings/received")
+                rings = {peek_ring(message.data) for _, _, message in messages}
+            self.assertEqual(rings, {0, 1, 2})
 
     def test_serial(self):
         with CellProcess("pty") as cell:

@@ -4,6 +4,7 @@ import os
 import threading
 import types
 import unittest
+from unittest import mock
 
 import numpy as np
 from paper_cell import RINGS
@@ -177,6 +178,23 @@ class TestThread(unittest.TestCase):
                 status.show(make_result(0.008 * k, RobotState.NORMAL))
         self.assertEqual(
             stream.getvalue(), "    0.00 s  normal, slider following: normal\n"
+        )
+
+    def test_what_is_ignored_is_told_once_a_minute(self):
+        stream = io.StringIO()
+        status = self.make(stream)
+        told = []
+        with mock.patch.object(mut.time, "monotonic") as clock:
+            for now, unknown in ((1, 0), (2, 3), (3, 99), (61, 990), (63, 991)):
+                clock.return_value = now
+                rings = dc.replace(make_rings(), unknown=unknown, foreign=2)
+                status._find_strangers(rings)
+                told.append(len(status._lines))
+        self.assertEqual(told, [1, 1, 1, 1, 2])
+        self.assertEqual(
+            status._lines[-1],
+            "rings: ignored so far: 991 frames of unknown rings, 2 datagrams "
+            "of other senders",
         )
 
     def test_a_terminal_that_is_held_holds_nobody(self):

@@ -4,7 +4,7 @@ import dataclasses as dc
 import math
 from pathlib import Path
 
-from tofssm_drake.errors import UserError
+from tofssm_drake.errors import UserError, require
 from tofssm_drake.paper import campaign_figures
 from tofssm_drake.paper.cell_style import SPAN
 from tofssm_drake.paper.cells import SENSINGS, VARIANTS, Cell
@@ -33,7 +33,8 @@ from tofssm_drake.studies.campaign import Plan
 from tofssm_drake.studies.campaign_folder import get_run_folder
 
 _NONE = "\u2013"
-_KINDS = ("tcp_speed", "true_distance", "measured_distance")
+_PLAIN = ("tcp_speed", "true_distance")
+_KINDS = (*_PLAIN, "measured_distance")
 
 
 def make_difference_table(
@@ -107,12 +108,23 @@ def read_first_runs(folder: Path, plan: Plan[Cell]) -> dict[Cell, Samples]:
         where = get_run_folder(folder, run)
         if (where / "row.parquet").exists():
             try:
-                samples[run.cell] = read_samples(where, _KINDS)
+                samples[run.cell] = _read_run(where)
             except UserError as error:
                 raise UserError(
                     f"{error}; remove {where} to have the run repeated"
                 ) from None
     return {cell: samples[cell] for cell in plan.cells if cell in samples}
+
+
+def _read_run(where):
+    """Returns the samples of a run with what the figures need."""
+    samples = read_samples(where, _KINDS)
+    for name in _PLAIN:
+        require(
+            name in samples.column,
+            f"{where / 'samples.parquet'}: it has no column `{name}`",
+        )
+    return samples
 
 
 def find_latencies(

@@ -1,7 +1,9 @@
 """STL and COLLADA files, read by trimesh."""
 
 import io
+import struct
 from xml.etree import ElementTree
+from xml.parsers import expat
 
 from collada import Collada
 from collada.common import DaeBrokenRefError, DaeError, DaeUnsupportedError
@@ -18,9 +20,25 @@ def read_stl(contents: bytes) -> tuple[np.ndarray, np.ndarray]:
     """Returns vertices and triangles, as they are in the file.
 
     Raises:
-        ValueError: If it is not an STL file.
+        ValueError: If it is not an STL file, or not whole.
     """
+    _check_stl(contents)
     return _read(contents, "stl")
+
+
+def _check_stl(contents: bytes) -> None:
+    """Checks that a binary file is as long as its number of triangles says."""
+    if contents.lstrip()[:5].lower() == b"solid" and b"facet" in contents:
+        # It is text.
+        return
+    if len(contents) < 84:
+        raise ValueError("it is neither text nor a whole binary STL file")
+    (count,) = struct.unpack_from("<I", contents, 80)
+    if len(contents) != 84 + 50 * count:
+        raise ValueError(
+            f"byte 80: {count} triangles take {84 + 50 * count} bytes, but it "
+            f"has {len(contents)}"
+        )
 
 
 def read_dae(contents: bytes) -> tuple[np.ndarray, np.ndarray, float]:
@@ -35,6 +53,7 @@ def read_dae(contents: bytes) -> tuple[np.ndarray, np.ndarray, float]:
 
 def _check_dae(contents: bytes) -> None:
     """Checks vertices and indices: trimesh drops a broken part silently."""
+    _refuse_entities(contents)
     try:
         document = Collada(io.BytesIO(contents), ignore=_IGNORED)
     except DaeError as error:
@@ -52,6 +71,23 @@ def _check_dae(contents: bytes) -> None:
             )
             if not np.isfinite(np.array(numbers.split(), dtype=float)).all():
                 raise ValueError("it has a vertex that is not finite")
+
+
+def _refuse_entities(contents: bytes) -> None:
+    """Refuses what may grow without end, or stand for another file."""
+
+    def refuse(*_):
+        raise ValueError(
+            f"line {parser.CurrentLineNumber}: it has a DOCTYPE, which may "
+            "define entities; remove it"
+        )
+
+    parser = expat.ParserCreate()
+    parser.StartDoctypeDeclHandler = refuse
+    try:
+        parser.Parse(contents, True)
+    except expat.ExpatError as error:
+        raise ValueError(f"it is not as its format demands: {error}") from error
 
 
 def _find_dae_unit(contents: bytes) -> float:

@@ -445,6 +445,22 @@ class _Buffer:
         return data
 
 
+class _BoundedStream:
+    """Reads no more at once than a part of a record may have.
+
+    The reader takes a size from the file, which may be gigabytes, or below
+    zero for all that follows.
+    """
+
+    def __init__(self, stream: IO[bytes]):
+        self._stream = stream
+
+    def read(self, size: int) -> bytes:
+        if not 0 <= size <= _LARGEST_PART:
+            raise ValueError(f"a part of {size} bytes")
+        return self._stream.read(size)
+
+
 class RunReader:
     """Reads a record as far as it goes.
 
@@ -524,7 +540,7 @@ class RunReader:
         with self._path.open("rb") as stream:
             # A record has no chunks, so none is decompressed.
             reader = StreamReader(
-                stream,
+                cast(IO[bytes], _BoundedStream(stream)),
                 validate_crcs=wanted == _TICK,
                 emit_chunks=True,
                 record_size_limit=_LARGEST_PART,

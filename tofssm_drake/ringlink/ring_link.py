@@ -32,8 +32,10 @@ from tofssm_drake.ringlink.ring_budget import LinkFigures
 from tofssm_drake.ringlink.ring_receiver import RingCounts, RingDecoder
 
 Tap = Callable[[float, str, bytes], None]
-"""Called in the reader's thread with arrival time, s, source and bytes of all
-that comes from permitted senders, before it is decoded."""
+"""Called in the reader's thread with arrival time, s, source and bytes of the
+rings' datagrams and of all that comes over serial lines, before it is decoded.
+Datagrams that are no frames of a ring are only counted: a flood of them must
+not fill a disk."""
 
 _REOPEN_PERIOD = 0.5
 _LONGEST_READ = 4096
@@ -180,7 +182,12 @@ class UdpTransport:
     Attributes:
         foreign: Number of datagrams of other senders, which are dropped.
         port: The bound port, also if 0 was asked for.
+        pause: For how long nothing is read after what was of no use, s. In a
+            flood many datagrams are then read at once, which takes a fraction
+            of the processor's time.
     """
+
+    pause = 0.001
 
     def __init__(self, address: UdpAddress):
         """Binds the socket.
@@ -232,6 +239,10 @@ class UdpTransport:
                 self.foreign += 1
         return datagrams
 
+    def is_of_a_ring(self, decoder: RingDecoder, data: bytes) -> bool:
+        """Returns whether what `receive` returned may be a ring's."""
+        return decoder.is_frame(data)
+
     def feed(self, decoder: RingDecoder, data: bytes, arrival: float) -> bool:
         """Decodes what `receive` returned; returns whether a scan came."""
         return decoder.receive_datagram(data, arrival)
@@ -245,6 +256,8 @@ class SerialTransport:
     """An open serial line."""
 
     foreign = 0
+    # The line is slow, and its frames come in pieces.
+    pause = 0.0
 
     def __init__(self, address: SerialAddress):
         """Opens the line and discards what is in its buffer.
@@ -285,6 +298,10 @@ class SerialTransport:
         """
         data = self._serial.read(_LONGEST_READ)
         return [data] if data else []
+
+    def is_of_a_ring(self, decoder: RingDecoder, data: bytes) -> bool:
+        """Returns True: frames come in pieces."""
+        return True
 
     def feed(self, decoder: RingDecoder, data: bytes, arrival: float) -> bool:
         """Decodes what `receive` returned; returns whether a scan came."""
@@ -425,7 +442,8 @@ class RingLink:
         arrival = time.monotonic()
         if self._tap is not None:
             for data in pieces:
-                self._tap(arrival, source, data)
+                if transport.is_of_a_ring(self._decoder, data):
+                    self._tap(arrival, source, data)
         with self._changed:
             is_new = False
             for data in pieces:
@@ -434,6 +452,8 @@ class RingLink:
             if is_new:
                 self._scans = self._decoder.scans
                 self._changed.notify_all()
+        if not is_new:
+            time.sleep(transport.pause)
 
     def _break(self, source, reason):
         transport = self._transports.pop(source)

@@ -438,6 +438,16 @@ class RingDecoder:
         self._datagram_errors: dict[str, int] = {}
         self.unknown = 0
 
+    def is_frame(self, data: bytes) -> bool:
+        """Returns whether a datagram is an undamaged frame of a ring."""
+        if peek_ring(data) not in self._receivers:
+            return False
+        try:
+            decode_frame(data)
+        except FrameError:
+            return False
+        return True
+
     def receive_datagram(self, data: bytes, arrival: float) -> bool:
         """Takes one datagram; returns whether it gave a scan.
 
