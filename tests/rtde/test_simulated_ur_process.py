@@ -17,6 +17,12 @@ from tofssm_drake.rtde.rtde_client import RtdeClient
 from tofssm_drake.rtde.rtde_config import RtdeConfig
 from tofssm_drake.scripts.main import run
 
+# Of a connection; a busy computer must not matter, s.
+_PATIENT = {
+    "connect_timeout": 60.0,
+    "reply_timeout": 60.0,
+    "stream_timeout": 60.0,
+}
 _HERE = Path(__file__).parent
 
 
@@ -60,7 +66,9 @@ class TestProcess(unittest.TestCase):
 
     def check_watchdog(self, host):
         """If the monitor is killed, the robot's program stops on its own."""
-        with RtdeClient(RtdeConfig(host=host, write=False)) as watcher:
+        with RtdeClient(
+            RtdeConfig(**_PATIENT, host=host, write=False)
+        ) as watcher:
             report = wait_for(watcher, lambda r: r.sequence >= 0)
             self.assertEqual(report.runtime_state, RuntimeState.STOPPED)
             with start([_HERE / "heart.py"], host, 30004) as heart:
