@@ -9,6 +9,7 @@
 #   make fault-table     measures how fast each fault stops that robot
 #   make endurance       watches memory and open files for an hour of each
 #   make fuzz    feeds 100 000 broken inputs to every parser
+#   make audit   looks for known faults in the pinned versions, on the Internet
 #   make images          makes the pictures in docs/images again
 # With another Python, in an environment of its own:
 #   make PYTHON=python3.12 VENV=.venv312 test
@@ -37,7 +38,7 @@ PYTEST := $(BIN)/python -m pytest --numprocesses auto --dist loadfile \
 	--no-loadscope-reorder
 
 .PHONY: run hardware-demo fault-table false-alarms images test test-long \
-	bench endurance format fuzz clean
+	bench endurance format fuzz audit clean
 
 run: $(VENV)/.installed
 	$(BIN)/tofssm simulate --out $(OUT)
@@ -69,6 +70,10 @@ false-alarms: $(VENV)/.installed-test
 fuzz: $(VENV)/.installed-test
 	$(PIP_INSTALL) --editable '.[fuzz]'
 	$(BIN)/python tests/fuzz/fuzz.py
+
+audit: $(VENV)/.installed
+	$(PIP_INSTALL) --editable '.[audit]'
+	$(BIN)/python tests/packaging/audit.py
 
 images: $(VENV)/.installed-test
 	$(BIN)/python -m tofssm_drake.scripts.draw_docs docs/images

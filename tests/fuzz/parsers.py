@@ -7,6 +7,7 @@ harm.
 
 import base64
 from collections.abc import Callable
+import contextlib
 import io
 import json
 from pathlib import Path
@@ -73,6 +74,16 @@ _MCAP = b"\x89MCAP0\r\n"
 _DEFAULT = load_scenario()
 
 
+@contextlib.contextmanager
+def _open_file(data, suffix):
+    """Yields the path of a file in memory, where the system has such."""
+    folder = "/dev/shm" if Path("/dev/shm").is_dir() else None
+    with tempfile.NamedTemporaryFile(suffix=suffix, dir=folder) as file:
+        file.write(data)
+        file.flush()
+        yield Path(file.name)
+
+
 def read_ring_frame(data: bytes) -> None:
     try:
         frame = decode_frame(data)
@@ -133,10 +144,9 @@ def read_scenario(data: bytes) -> None:
 
 
 def read_recording(data: bytes) -> None:
-    with tempfile.NamedTemporaryFile(suffix=".bvh") as file:
-        Path(file.name).write_bytes(data)
+    with _open_file(data, ".bvh") as path:
         try:
-            recording = read_bvh(file.name)
+            recording = read_bvh(path)
         except UserError as error:
             assert "\n" not in str(error)
             return
@@ -172,10 +182,9 @@ def read_vtk_mesh(data: bytes) -> None:
 
 
 def read_record(data: bytes) -> None:
-    with tempfile.NamedTemporaryFile(suffix=".mcap") as file:
-        Path(file.name).write_bytes(data)
+    with _open_file(data, ".mcap") as path:
         try:
-            ticks = list(RunReader(Path(file.name)).read_ticks())
+            ticks = list(RunReader(path).read_ticks())
         except UserError as error:
             assert "\n" not in str(error)
             return

@@ -66,9 +66,8 @@ class TestProcess(unittest.TestCase):
 
     def check_watchdog(self, host):
         """If the monitor is killed, the robot's program stops on its own."""
-        with RtdeClient(
-            RtdeConfig(**_PATIENT, host=host, write=False)
-        ) as watcher:
+        config = RtdeConfig(**_PATIENT, host=host, write=False)
+        with RtdeClient(config) as watcher:
             report = wait_for(watcher, lambda r: r.sequence >= 0)
             self.assertEqual(report.runtime_state, RuntimeState.STOPPED)
             with start([_HERE / "heart.py"], host, 30004) as heart:

@@ -1,6 +1,7 @@
 """Where each command listens while it runs: as SECURITY.md lists, no more."""
 
 import ipaddress
+import re
 import socket
 import time
 
@@ -79,8 +80,9 @@ def test_simulate(tmp_path):
 @pytest.mark.long
 def test_experiments(tmp_path):
     found = run(
-        *("experiments", "--sensing", "ideal", "--ssm", "vo", *_SHORT),
-        *("--trials", 1, "--workers", 2),
+        *("experiments", "--sensing", "ideal", "--ssm", "vo"),
+        *("--trials", 1, "--workers", 2, "--duration", 0.4),
+        *("--scenario-text", "{task: {products: 1}}"),
         *("--out", tmp_path / "out"),
     )
     assert found
@@ -96,10 +98,10 @@ def test_robot_rings_and_hardware(tmp_path):
         ring_port = int(cell.address.rpartition(":")[2])
 
         def is_running():
-            return "all is well" in runner.err or "normal" in runner.err
+            # Whatever it says of the robot: a busy computer may be late.
+            return re.search(r"\d s  (stop|reduced|normal)", runner.err)
 
         assert watch(runner, is_running) == {("udp", cell.host, ring_port)}
-        runner.wait_for("normal")
         assert find_listeners(psutil.Process(runner.process.pid)) == {
             ("udp", cell.host, ring_port)
         }
