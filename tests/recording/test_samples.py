@@ -3,10 +3,12 @@ import tempfile
 import unittest
 
 import numpy as np
+import pyarrow as pa
 import pyarrow.parquet as pq
 
 from tofssm_drake.errors import UserError
 import tofssm_drake.recording.samples as mut
+from tofssm_drake.recording.tables import write_table
 
 
 def _make_samples(rows=5):
@@ -115,6 +117,22 @@ class TestSamples(unittest.TestCase):
         path.write_text("nonsense")
         with self.assertRaisesRegex(UserError, r"samples\.parquet: cannot be"):
             mut.read_samples(path)
+
+    def test_metadata_in_another_encoding(self):
+        path = self.folder / "samples.parquet"
+        for of_table, of_column, is_read in (
+            ({mut._KEY: b"\xff\xfe"}, None, False),
+            (None, {b"unit": b"\xff", b"codes": b"\xff"}, True),
+            (None, {b"\xff": b"s"}, True),
+        ):
+            field = pa.field("t", pa.float64(), metadata=of_column)
+            schema = pa.schema([field], metadata=of_table)
+            write_table(pa.table({"t": [0.5]}, schema=schema), path)
+            if is_read:
+                self.assertEqual(mut.read_samples(path)["t"], [0.5])
+                continue
+            with self.assertRaisesRegex(UserError, r"parquet: its metadata: "):
+                mut.read_samples(path)
 
     def test_narrow_type(self):
         self.assertEqual(
