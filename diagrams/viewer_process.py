@@ -175,4 +175,5 @@ def main() -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    # A usual exit would wait for Meshcat's thread, which a broken message ends.
+    os._exit(main())

@@ -1,11 +1,14 @@
 """A viewer that works, and viewers that do not."""
 
 from pathlib import Path
+import pickle
+import signal
+import subprocess
 import sys
 import threading
 import time
 
-from attacks import DEADLINE, wait_for
+from attacks import DEADLINE, send_garbage, wait_for
 import psutil
 import pytest
 
@@ -192,3 +195,21 @@ def test_its_answers_are_not_mixed_with_what_others_print(
     output = capfd.readouterr()
     assert output.err == ""
     assert output.out.startswith("watch at http://localhost:")
+
+
+def test_ends_with_its_input_whatever_meshcat_got(scenario):
+    """Nobody is left to end it if the run itself was killed."""
+    process = subprocess.Popen(
+        [sys.executable, "-m", "tofssm_drake.diagrams.viewer_process"],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+    )
+    settings = mut.ViewerSettings(scenario=scenario, is_recorded=True)
+    process.stdin.write(pickle.dumps(settings))
+    process.stdin.flush()
+    assert b"url" in process.stdout.readline()
+    send_garbage(psutil.Process(process.pid))
+    process.stdin.close()
+    # By itself, or by what the message did to it.
+    assert process.wait(DEADLINE) in (0, -signal.SIGABRT)
+    process.stdout.close()
