@@ -8,6 +8,7 @@ It takes pickled messages on its standard input (`ViewerSettings`, then each
 import json
 import os
 import pickle
+import resource
 import sys
 from typing import BinaryIO, TextIO
 
@@ -31,6 +32,9 @@ from tofssm_drake.visualization.recording import (
     start_recording,
     write_recording,
 )
+
+# Greatest memory of the process, bytes: what it draws may be too much for it.
+_MOST_MEMORY = 4 * 1024**3
 
 
 def make_viewer(scenario: Scenario, meshcat: Meshcat) -> Diagram:
@@ -162,6 +166,7 @@ def _record(meshcat, order):
 
 def main() -> int:
     """Serves the process that has started this one; returns the exit code."""
+    resource.setrlimit(resource.RLIMIT_DATA, (_MOST_MEMORY, _MOST_MEMORY))
     # What others print must not come between the answers.
     answers = os.fdopen(os.dup(sys.stdout.fileno()), "w", encoding="utf-8")
     os.dup2(sys.stderr.fileno(), sys.stdout.fileno())

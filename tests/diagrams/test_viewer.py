@@ -8,7 +8,7 @@ import sys
 import threading
 import time
 
-from attacks import DEADLINE, send_garbage, wait_for
+from attacks import DEADLINE, find_viewer, send_garbage, wait_for
 import psutil
 import pytest
 
@@ -213,3 +213,11 @@ def test_ends_with_its_input_whatever_meshcat_got(scenario):
     # By itself, or by what the message did to it.
     assert process.wait(DEADLINE) in (0, -signal.SIGABRT)
     process.stdout.close()
+
+
+def test_its_memory_is_bounded(scenario):
+    """It draws what a scenario names, whatever that is."""
+    with start(scenario, is_watched=True) as viewer:
+        viewer.wait_until_ready()
+        bound, _ = find_viewer().rlimit(psutil.RLIMIT_DATA)
+    assert bound == 4 * 1024**3

@@ -29,6 +29,7 @@ from tofssm_drake.errors import UserError
 from tofssm_drake.messages import RingScan, RobotReport, SliderCommand
 from tofssm_drake.people.bvh_file import read_bvh
 from tofssm_drake.raycast.gltf_file import read_gltf
+from tofssm_drake.raycast.gltf_references import check_references
 from tofssm_drake.raycast.obj_file import read_obj
 from tofssm_drake.raycast.vtk_file import check_vtk
 from tofssm_drake.recording.run_record import (
@@ -161,7 +162,12 @@ def read_gltf_mesh(data: bytes) -> None:
     def load(uri):
         raise OSError(f"there is no {uri}")
 
-    _check_mesh(lambda: read_gltf(data, load))
+    def read():
+        mesh = read_gltf(data, load)
+        check_references(json.loads(data), load)
+        return mesh
+
+    _check_mesh(read)
 
 
 def _check_mesh(read):
@@ -299,7 +305,7 @@ def _make_bvh():
         return path.read_bytes()
 
 
-_DATA = (
+DATA_URI = (
     "data:application/octet-stream;base64,"
     + base64.b64encode(
         np.array([0, 0, 0, 1, 0, 0, 0, 1, 0], np.float32).tobytes()
@@ -336,8 +342,12 @@ SEEDS: dict[str, list[bytes]] = {
         _TRIANGLE + b"f 1 2 -9\n",
     ],
     "gltf": [
-        make_gltf(_DATA),
+        make_gltf(DATA_URI),
         make_gltf("/dev/zero"),
+        make_gltf(DATA_URI).replace(
+            b'"POSITION": 0}', b'"POSITION": 0}, "material": 99'
+        ),
+        make_gltf(DATA_URI)[:-1] + b', "images": [{"uri": "/dev/zero"}]}',
         b"[" * 100_000,
     ],
     "vtk": [

@@ -725,7 +725,7 @@ class TestReadMesh(unittest.TestCase):
             (Mesh("/nowhere/a.ply"), "'.ply' is not one of .obj, .gltf, .stl"),
             (make_mesh("v 0 0 0"), "cannot be read"),
             (make_mesh("{", ".gltf"), "cannot be read"),
-            (make_mesh(good, ".gltf"), "cannot be read: its buffer 'x' is"),
+            (make_mesh(good, ".gltf"), "cannot be read: its file 'x' is"),
             (make_mesh(dots, ".gltf"), "no triangle"),
             (make_mesh(needs, ".gltf"), "needs the extensions KHR_draco"),
             (make_mesh("[]", ".gltf"), "memory.*not as its format demands"),

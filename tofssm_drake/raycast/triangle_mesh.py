@@ -6,10 +6,12 @@ trimesh, tetrahedral VTK by Drake, OBJ and glTF by readers that are stricter
 than either (see `obj_file`, `gltf_file`).
 """
 
+from collections.abc import Callable, Iterator
 import dataclasses as dc
 import hashlib
 import os
 from pathlib import Path
+import re
 from urllib.parse import unquote
 
 import numpy as np
@@ -25,6 +27,7 @@ from pydrake.math import RigidTransform
 
 from tofssm_drake.errors import UserError
 from tofssm_drake.raycast.gltf_file import read_gltf
+from tofssm_drake.raycast.gltf_references import check_references
 from tofssm_drake.raycast.mesh_parts import check_corners, orient_faces
 from tofssm_drake.raycast.obj_file import (
     check_obj,
@@ -36,9 +39,11 @@ from tofssm_drake.raycast.triangle_tree import (
     make_triangle_tree,
 )
 from tofssm_drake.raycast.vtk_file import check_vtk
-from tofssm_drake.user_files import MEGABYTE, read_file
+from tofssm_drake.user_files import MEGABYTE, decode_json, read_file
 
 _LARGEST = 1000 * MEGABYTE
+# Keys of an OBJ's materials that name a picture.
+_PICTURE = rb"(?:map_\w+|bump|disp|decal|refl)"
 
 
 @dc.dataclass(frozen=True, eq=False, kw_only=True)
@@ -148,12 +153,20 @@ def check_mesh_file(mesh: Mesh) -> None:
     extension = mesh.extension().lower()
     try:
         if extension == ".obj":
-            check_obj(_read_source(mesh.source()))
+            contents = _read_source(mesh.source())
+            check_obj(contents)
+            if mesh.source().is_path():
+                _check_materials(Path(mesh.source().path()), contents)
         elif extension == ".vtk":
             check_vtk(_read_source(mesh.source()))
         elif extension == ".gltf":
             _read_gltf(mesh)
-    except (AttributeError, LookupError, OSError, TypeError) as error:
+            check_references(
+                decode_json(_read_source(mesh.source())), _make_loader(mesh)
+            )
+    except OSError as error:
+        raise ValueError(f"{error.filename}: {error.strerror}") from error
+    except (AttributeError, LookupError, TypeError) as error:
         raise ValueError(str(error)) from error
 
 
@@ -203,6 +216,13 @@ def _read_obj(mesh: Mesh):
 
 
 def _read_gltf(mesh: Mesh):
+    contents = _read_source(mesh.source())
+    vertices, faces = read_gltf(contents, _make_loader(mesh))
+    return vertices * mesh.scale3(), faces
+
+
+def _make_loader(mesh: Mesh) -> Callable[[str], bytes]:
+    """Returns what loads the files that a glTF file refers to."""
     source = mesh.source()
 
     def load(uri: str) -> bytes:
@@ -210,11 +230,10 @@ def _read_gltf(mesh: Mesh):
             return _read_file(_find_beside(Path(source.path()), unquote(uri)))
         files = source.in_memory().supporting_files
         if uri not in files:
-            raise ValueError(f"its buffer '{uri}' is missing")
+            raise ValueError(f"its file '{uri}' is missing")
         return _read_supporting_file(files[uri])
 
-    vertices, faces = read_gltf(_read_source(source), load)
-    return vertices * mesh.scale3(), faces
+    return load
 
 
 def _find_beside(path: Path, name: str) -> Path:
@@ -228,6 +247,32 @@ def _find_beside(path: Path, name: str) -> Path:
     if not found.is_relative_to(os.path.normpath(folder)):
         raise ValueError(f"'{name}' is outside of its folder")
     return found
+
+
+def _check_materials(path: Path, contents: bytes) -> None:
+    """Checks the materials of an OBJ file, and the pictures that they name.
+
+    Those that are not there are left to whoever draws.
+
+    Raises:
+        ValueError, OSError: One is outside of the folder, or not a file.
+    """
+    for name in _find_words(contents, b"mtllib"):
+        library = _find_beside(path, name)
+        if not library.exists():
+            continue
+        materials = _read_file(library)
+        for picture in _find_words(materials, _PICTURE):
+            found = _find_beside(library, picture)
+            if found.exists() and not found.is_dir():
+                _read_file(found)
+
+
+def _find_words(contents: bytes, key: bytes) -> Iterator[str]:
+    """Yields the words after a key, and all of them as one name."""
+    for line in re.findall(rb"^[ \t]*" + key + rb"[ \t]+(.*)$", contents, re.M):
+        text = line.decode(errors="replace").strip()
+        yield from dict.fromkeys([text, *text.split()])
 
 
 def _read_stl(mesh: Mesh):
