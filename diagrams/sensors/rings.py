@@ -6,6 +6,7 @@ it costs less, and their self-hits are compared with one another.
 
 from collections.abc import Mapping
 import dataclasses as dc
+import functools
 import math
 
 import numpy as np
@@ -292,8 +293,7 @@ def make_group_self_hits(monitor: Monitor, group: RingGroup) -> SelfHitModel:
             find_ring_mount(monitor.plant, inspector, name)
             for name in group.name
         ],
-        # All rings' frames carry visible geometry: no bundle adds a frame.
-        twin=_pose_twin(monitor, caster),
+        make_twin=functools.partial(_pose_twin, monitor),
         name=group.name,
         is_dead=group.find_dead_sensors(),
     )

@@ -160,3 +160,15 @@ def test_a_cart_in_the_way_stops_the_robot_and_is_no_person():
 def test_what_does_not_fit_the_cell(text, message):
     with pytest.raises(UserError, match=message):
         make_workcell(load_scenario(text=text))
+
+
+@pytest.mark.parametrize("parent", ["world", "pedestal"])
+def test_a_ring_may_stand_in_the_cell(parent):
+    """On a frame with a shape and on one without."""
+    samples = run(
+        f"sensors: {{post: !Ring {{parent: {parent}, "
+        "X_PL: {translation: [0.9, 0.0, 1.0]}}}",
+        duration=1.0,
+    )
+    assert np.isfinite(samples["post_true_distance"]).all()
+    assert (samples["post_valid"] > 0).any()

@@ -3,7 +3,7 @@
 `self_hits` has the statistics; this module applies them to twin and systems.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 import dataclasses as dc
 import functools
 import itertools
@@ -144,7 +144,7 @@ def make_self_hit_model(
     sensor: SensorTraits,
     caster: RayCaster,
     mounts: Sequence[RingMount],
-    twin: Twin,
+    make_twin: Callable[[RayCaster], Twin],
     is_dead: np.ndarray | None = None,
     name: tuple[str, ...],
 ) -> SelfHitModel:
@@ -156,7 +156,8 @@ def make_self_hit_model(
         sensor: field of view, ranges and tolerance of the sensors.
         caster: of the twin's SceneGraph.
         mounts: the rings on the twin.
-        twin: gives the poses of `caster.frame_ids`.
+        make_twin: returns what poses a caster's `frame_ids`. It is called at
+            the end: a ring on a frame without geometry adds that frame.
         is_dead: sensors that are declared dead, ring by ring, (N,); None: none.
         name: of the rings, in the order of `mounts`.
 
@@ -174,15 +175,17 @@ def make_self_hit_model(
         if m.ring >= 0
     ]
     make_bundles = functools.partial(_make_bundles, caster, fan_S, max_range)
+    believed = make_bundles([(mount, mount.X_FS) for mount in mounts])
+    moved_bundles = make_bundles(moved) if moved else None
     return SelfHitModel(
         config=config,
         name=tuple(name),
         caster=caster,
-        twin=twin,
+        twin=make_twin(caster),
         num_wide=num_wide,
-        believed=make_bundles([(mount, mount.X_FS) for mount in mounts]),
+        believed=believed,
         misfits=misfits,
-        moved=make_bundles(moved) if moved else None,
+        moved=moved_bundles,
         orders=make_orders(len(mounts[0].X_FS)),
         swaps=np.array(list_swaps(len(mounts)), dtype=np.int64).reshape(-1, 2),
         limits=(
