@@ -8,6 +8,7 @@ import sys
 from unittest import mock
 
 import audit as mut
+import pytest
 
 _FILE = Path(__file__).parents[2] / "constraints-3.11.txt"
 
@@ -24,6 +25,15 @@ def test_the_command_names_the_pinned_versions():
     command = mut.make_command(_FILE)
     assert command[:3] == [sys.executable, "-m", "pip_audit"]
     assert str(_FILE) in command
+
+
+def test_pip_audit_takes_the_command():
+    pytest.importorskip("pip_audit", reason="of the extra `audit`")
+    command = [*mut.make_command(_FILE), "--dry-run"]
+    done = subprocess.run(command, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    count = sum("==" in line for line in _FILE.read_text().splitlines())
+    assert f"would have audited {count} packages" in done.stderr
 
 
 def test_it_cannot_reach_its_database(tmp_path, capsys, monkeypatch):
