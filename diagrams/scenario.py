@@ -268,7 +268,7 @@ def list_scenarios(filename: pathlib.Path | None = None) -> list[str]:
 
 def load_scenario(
     *,
-    filename: pathlib.Path | None = None,
+    filename: pathlib.Path | str | None = None,
     name: str = "Default",
     text: str = "",
 ) -> Scenario:
@@ -290,7 +290,7 @@ def load_scenario(
         UserError: Something is unknown, misspelt, of the wrong type or out of
             range; the message says where and what would be right.
     """
-    filename = filename or find_default_scenarios()
+    filename = pathlib.Path(filename or find_default_scenarios())
     source = str(filename)
     content = _read(filename)
     children = get_children(parse_yaml(content, source))

@@ -13,7 +13,10 @@ import pyarrow.parquet as pq
 
 def read_run(folder):
     """Returns the table of samples; `attrs["unit"]` has each column's unit."""
-    table = pq.read_table(Path(folder) / "samples.parquet")
+    # Its pages have checksums; a damaged one is an error.
+    table = pq.read_table(
+        Path(folder) / "samples.parquet", page_checksum_verification=True
+    )
     samples = table.to_pandas()
     # pandas keeps no metadata of columns, so they are taken along.
     samples.attrs["unit"] = {

@@ -8,7 +8,7 @@ import typer
 
 from tofssm_drake.errors import require
 from tofssm_drake.recording.columns import read_description
-from tofssm_drake.recording.tables import read_schema
+from tofssm_drake.recording.tables import read_table
 import tofssm_drake.scripts.options as options
 
 
@@ -23,9 +23,10 @@ def describe(
 ) -> int:
     """List the columns of the tables (*.parquet) with unit and meaning."""
     for path in find_tables(run):
-        schema, rows = read_schema(path)
-        print(f"{path}: {rows} rows, {len(schema)} columns")
-        for line in list_columns(schema):
+        # All of it, so that damage is found.
+        table = read_table(path)
+        print(f"{path}: {table.num_rows} rows, {table.num_columns} columns")
+        for line in list_columns(table.schema):
             print(line)
     return 0
 

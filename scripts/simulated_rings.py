@@ -82,7 +82,7 @@ def simulated_rings(
         float, typer.Option(help="Longest run, s; 0: until Ctrl-C.")
     ] = 0.0,
 ) -> int:
-    """Simulate three rings around a running robot, and send their frames.
+    """Simulate the rings around a running robot, and send their frames.
 
     The rings see the cell, the products, a walking person, and the arm where
     the robot reports it to be. It prints a line that says where the frames go;

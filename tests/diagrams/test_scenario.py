@@ -354,3 +354,7 @@ class TestWhereAMistakeIs(unittest.TestCase):
                 filename=path, name="Mine", text="{simulation_duration: 2}"
             )
         self.assertEqual(scenario.simulation_duration, 2.0)
+
+    def test_a_path_may_be_a_text(self):
+        scenario = mut.load_scenario(filename=str(mut.find_default_scenarios()))
+        self.assertEqual(scenario, mut.load_scenario())

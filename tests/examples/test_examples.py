@@ -158,6 +158,11 @@ def test_read_a_run(tmp_path):
     stops = example.count_stops(table)
     assert stops.sum() == calc_run_metrics(samples)["stop_events"] > 0
     assert all(reason.startswith("stop: ") for reason in stops.index)
+    data = bytearray((tmp_path / "samples.parquet").read_bytes())
+    data[2000] ^= 1
+    (tmp_path / "samples.parquet").write_bytes(data)
+    with pytest.raises(OSError, match="checksum"):
+        example.read_run(tmp_path)
     least = example.find_least_distances(table)
     assert list(least.index) == list(samples.rings)
     assert least["true_distance [m]"]["tool"] == pytest.approx(
